@@ -1,0 +1,9 @@
+//! limpid: path tracing, reconstruction and training in hand-written Vulkan compute shaders.
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+
+pub mod error;
+pub mod image;
+pub mod scene;
+
+pub use error::{Error, Result};

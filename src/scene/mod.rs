@@ -1,0 +1,60 @@
+//! Scenes: what is rendered, in f64 on the host, before the renderer recentres and packs it.
+
+use glam::{DMat4, DVec3};
+
+/// A pinhole camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    /// Camera to world. In camera space x points right, y up, and the view direction is -z. Rigid (no scale).
+    pub to_world: DMat4,
+    /// Horizontal field of view in degrees (0 < fov < 180).
+    pub fov_x_degrees: f64,
+    /// Image width in pixels.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+}
+
+/// The surface of one shape.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Geometry {
+    /// A sphere, visible from both sides; its normal points outward.
+    Sphere {
+        /// Centre, world space.
+        center: DVec3,
+        /// Radius, world units, > 0.
+        radius: f64,
+    },
+    /// A rectangle `center + s*half_u + t*half_v`, s and t in [-1, 1]; its normal is `half_u x half_v`. One-sided, as
+    /// Mitsuba's `diffuse` and `area`: the back neither reflects nor emits, but blocks.
+    Rectangle {
+        /// Centre, world space.
+        center: DVec3,
+        /// Half of the first edge.
+        half_u: DVec3,
+        /// Half of the second edge; perpendicular to `half_u`.
+        half_v: DVec3,
+    },
+}
+
+/// A shape with its diffuse material and, for a light, its emission.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shape {
+    /// Name for messages.
+    pub name: String,
+    /// Where it is.
+    pub geometry: Geometry,
+    /// Lambertian reflectance, linear RGB, each in [0, 1].
+    pub albedo: DVec3,
+    /// Emitted radiance, linear RGB, each >= 0 and finite; zero for what is no light.
+    pub radiance: DVec3,
+}
+
+/// Everything a render needs to know of the world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The one camera.
+    pub camera: Camera,
+    /// All shapes, lights included.
+    pub shapes: Vec<Shape>,
+}
