@@ -7,3 +7,4 @@ pub mod architecture;
 pub mod layer;
 pub mod reference;
 pub mod tensor;
+pub mod weights;
