@@ -6,5 +6,6 @@ pub mod error;
 pub mod image;
 pub mod net;
 pub mod scene;
+pub mod train;
 
 pub use error::{Error, Result};
