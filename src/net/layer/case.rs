@@ -323,6 +323,7 @@ fn rows(kind: Kind) -> Vec<Case> {
             &[
                 (Random, [1, 1, 1, 1]),
                 (Random, [1, 3, 3, 5]),
+                (Random, [3, 3, 2, 4]),
                 (Random, [1, 6, 1, 71]),
                 (Random, [3, 6, 13, 11]),
                 (Random, [1, 43, 37, 70]),
