@@ -3,9 +3,11 @@
 #![warn(missing_docs)]
 
 pub mod error;
+pub mod gpu;
 pub mod image;
 pub mod net;
 pub mod scene;
+pub mod shaders;
 pub mod train;
 
 pub use error::{Error, Result};

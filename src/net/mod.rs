@@ -4,6 +4,8 @@
 //! is tested against. An [architecture](architecture::Architecture) is a short list of named layers.
 
 pub mod architecture;
+pub mod device;
+pub mod kernel;
 pub mod layer;
 pub mod reference;
 pub mod tensor;
