@@ -139,9 +139,8 @@ fn glorot_is_uniform_within_its_limit_and_differs_by_seed_and_tensor() {
 
 #[test]
 fn a_missing_tensor_is_named() {
-    for missing in 0..RIGHT.len() {
+    for (missing, (name, _, shape)) in RIGHT.into_iter().enumerate() {
         let left: Vec<_> = RIGHT.iter().copied().enumerate().filter(|(i, _)| *i != missing).map(|(_, t)| t).collect();
-        let (name, _, shape) = RIGHT[missing];
         let text = message(&file(&left, &NAMED, |_| 1.0));
         says(&text, &["w.safetensors", name, &format!("expected F32 {shape:?}"), "found none"]);
     }
