@@ -194,11 +194,11 @@ fn layer_gradients_match_central_differences() {
             gradients.bias.clone(),
         ]
         .concat();
-        for i in 0..flat_gradient.len() {
+        for (i, &gradient) in flat_gradient.iter().enumerate() {
             let f = |h: f64| dot(&reference_in_f64(&case, i, h).data, &dy.data);
             let difference = slope(f);
             // Linear in each element but for kinks, which no element of these rows is near.
-            require(&format!("{} {i}", case.name), close(&[flat_gradient[i]], &[difference], 1e-8, 1e-7));
+            require(&format!("{} {i}", case.name), close(&[gradient], &[difference], 1e-8, 1e-7));
         }
     }
     Kind::ALL.iter().for_each(|kind| assert!(checked[kind] >= 2, "{} rows of {}", checked[kind], kind.name()));

@@ -141,14 +141,14 @@ pub fn rounding_bound(terms: usize, magnitude: f64) -> f64 {
     2.0 * (terms as f64).sqrt() * f64::powi(2.0, -24) * magnitude
 }
 
-/// The elementwise [`rounding_bound`] of [`reference`] in f32: `Cin * 9 + 1` terms.
+/// The elementwise [`rounding_bound`] of [`fn@reference`] in f32: `Cin * 9 + 1` terms.
 pub fn forward_bound(input: &Tensor<f64>, weight: &Tensor<f64>, bias: &[f64]) -> Tensor<f64> {
     let bias: Vec<f64> = bias.iter().map(|b| b.abs()).collect();
     let terms = 9 * input.shape[1] + 1;
     reference(&input.map(f64::abs), &weight.map(f64::abs), &bias).map(|sum| rounding_bound(terms, sum))
 }
 
-/// The elementwise [`rounding_bound`]s of [`reference_backward`] in f32: `Cout * 9` terms for the input gradient,
+/// The elementwise [`rounding_bound`]s of [`fn@reference_backward`] in f32: `Cout * 9` terms for the input gradient,
 /// `N * H * W` for those of weights and bias.
 pub fn backward_bounds(input: &Tensor<f64>, weight: &Tensor<f64>, output_gradient: &Tensor<f64>) -> Gradients {
     let [batch, cout, height, width] = output_gradient.shape;

@@ -37,6 +37,6 @@ kinds! {
     MaxPool2d = "max_pool2d",
     /// [`upsample2d`]
     Upsample2d = "upsample2d",
-    /// [`concat`]
+    /// [`mod@concat`]
     Concat = "concat",
 }
