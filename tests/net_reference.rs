@@ -2,43 +2,31 @@
 
 #[path = "common/compare.rs"]
 mod compare;
+#[path = "common/goldens.rs"]
+mod goldens;
 
 use compare::{close, relative_l2, require, tensors_close};
 use limpid::net::architecture::{Architecture, Op, Row};
 use limpid::net::layer::{Case, Kind, Pattern, cases};
 use limpid::net::reference::{backward, forward};
-use limpid::net::tensor::{Tensor, seed_of, uniform};
+use limpid::net::tensor::{Tensor, uniform};
 use limpid::train::adam::{Adam, ReferenceState};
 use limpid::train::{loss, reference as training};
-use safetensors::{Dtype, SafeTensors};
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 
 /// Both sides compute in float64 from equal numbers; only the order of their sums differs.
 const PYTORCH_RTOL: f64 = 1e-6;
-/// For values that cancel: gradients here are 1e-6 and larger.
+/// For values that cancel to nearly nothing: those compared here are of the order 1e-6 and larger.
 const PYTORCH_ATOL: f64 = 1e-12;
 
-/// A golden file: its tensors in double precision.
-fn goldens(stem: &str) -> BTreeMap<String, Vec<f64>> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(format!("{stem}.safetensors"));
-    let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-    let file = SafeTensors::deserialize(&bytes).expect("a whole file");
-    let read = |view: safetensors::tensor::TensorView| match view.dtype() {
-        Dtype::F64 => view.data().chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect(),
-        Dtype::F32 => view.data().chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap()).into()).collect(),
-        other => panic!("{other:?} in {}", path.display()),
-    };
-    file.tensors().into_iter().map(|(name, view)| (name, read(view))).collect()
-}
-
+#[track_caller]
 fn pytorch(what: &str, actual: &[f64], expected: &[f64]) {
     require(what, close(actual, expected, PYTORCH_ATOL, PYTORCH_RTOL));
 }
 
 #[test]
 fn layers_match_pytorch() {
-    let goldens = goldens("layers");
+    let goldens = goldens::read("layers");
     let names: BTreeSet<&str> = goldens.keys().map(|key| key.split('/').next().unwrap()).collect();
     let table: BTreeMap<String, Case> = cases().into_iter().map(|case| (case.name.clone(), case)).collect();
     for &kind in Kind::ALL {
@@ -70,24 +58,13 @@ fn layers_match_pytorch() {
     }
 }
 
-/// The parameters that the goldens' networks have.
+/// The goldens' parameters in double precision.
 fn golden_parameters(architecture: &Architecture) -> Vec<f64> {
-    let mut parameters = vec![0.0; architecture.parameter_count()];
-    for spec in architecture.tensors() {
-        let limit = match spec.shape[..] {
-            [cout, cin, ..] => (6.0 / (9 * (cin + cout)) as f64).sqrt(),
-            _ => 0.1,
-        };
-        let stream = seed_of(&format!("golden/{}", spec.name));
-        for (i, value) in parameters[spec.range].iter_mut().enumerate() {
-            *value = f64::from((limit * (2.0 * uniform(stream, i as u64) - 1.0)) as f32);
-        }
-    }
-    parameters
+    goldens::parameters(architecture).into_iter().map(f64::from).collect()
 }
 
 fn drawn(shape: [usize; 4], name: &str) -> Tensor<f64> {
-    Tensor::uniform(shape, seed_of(name)).to_f64()
+    goldens::drawn(shape, name).to_f64()
 }
 
 /// A made-up network of three convolutions with one skip: 2 channels in, 2 out.
@@ -106,8 +83,8 @@ fn tiny() -> Architecture {
 }
 
 fn network_matches_pytorch(architecture: &Architecture, [batch, height, width]: [usize; 3]) {
-    let goldens = goldens("networks");
-    let case = format!("{}_n{batch}_h{height}_w{width}", architecture.name());
+    let goldens = goldens::read("networks");
+    let case = goldens::network_case(architecture, [batch, height, width]);
     let golden = |part: &str| &goldens[&format!("{case}/{part}")][..];
     let what = |part: &str| format!("{case}/{part}");
     let parameters = golden_parameters(architecture);
@@ -141,7 +118,7 @@ fn networks_match_pytorch() {
 
 #[test]
 fn three_steps_match_pytorch_adam() {
-    let goldens = goldens("networks");
+    let goldens = goldens::read("networks");
     let (architecture, adam) = (tiny(), Adam::default());
     let mut parameters = golden_parameters(&architecture);
     let mut state = ReferenceState::new(parameters.len());
