@@ -8,5 +8,6 @@ pub mod image;
 pub mod net;
 pub mod scene;
 pub mod shaders;
+pub mod train;
 
 pub use error::{Error, Result};
