@@ -18,12 +18,14 @@ pub struct Camera {
 /// The surface of one shape.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Geometry {
-    /// A sphere, visible from both sides; its normal points outward.
+    /// A sphere. One-sided along its normal, as Mitsuba's `diffuse` and `area`.
     Sphere {
         /// Centre, world space.
         center: DVec3,
         /// Radius, world units, > 0.
         radius: f64,
+        /// The normal points to the centre (a cavity; Mitsuba's `flip_normals`), not outward.
+        inward: bool,
     },
     /// A rectangle `center + s*half_u + t*half_v`, s and t in [-1, 1]; its normal is `half_u x half_v`. One-sided, as
     /// Mitsuba's `diffuse` and `area`: the back neither reflects nor emits, but blocks.
