@@ -3,7 +3,10 @@
 #![warn(missing_docs)]
 
 pub mod error;
+pub mod gpu;
 pub mod image;
+pub mod net;
 pub mod scene;
+pub mod shaders;
 
 pub use error::{Error, Result};
