@@ -1,5 +1,15 @@
 //! Scenes: what is rendered, in f64 on the host, before the renderer recentres and packs it.
 
+mod camera;
+pub mod family;
+mod hash;
+pub mod math;
+pub mod mitsuba;
+mod spec;
+pub mod validate;
+
+pub use spec::{Loaded, Spec};
+
 use glam::{DMat4, DVec3};
 
 /// A pinhole camera.
@@ -59,4 +69,13 @@ pub struct Scene {
     pub camera: Camera,
     /// All shapes, lights included.
     pub shapes: Vec<Shape>,
+}
+
+/// A half line in world space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ray {
+    /// Where it starts, world space.
+    pub origin: DVec3,
+    /// Where it goes, unit length, world space.
+    pub direction: DVec3,
 }
