@@ -12,7 +12,7 @@ fn spheres(scene: &Scene) -> Vec<(DVec3, f64, &Shape)> {
         .shapes
         .iter()
         .filter_map(|shape| match shape.geometry {
-            Geometry::Sphere { center, radius } => Some((center, radius, shape)),
+            Geometry::Sphere { center, radius, .. } => Some((center, radius, shape)),
             Geometry::Rectangle { .. } => None,
         })
         .collect()
@@ -175,7 +175,7 @@ fn validation_refuses_what_cannot_be_rendered() {
         scene
     };
     fn sphere(scene: &mut Scene, new_center: DVec3, new_radius: f64) {
-        scene.shapes[5].geometry = Geometry::Sphere { center: new_center, radius: new_radius };
+        scene.shapes[5].geometry = Geometry::Sphere { center: new_center, radius: new_radius, inward: false };
     }
     fn rectangle(scene: &mut Scene, half_u: DVec3, half_v: DVec3) {
         scene.shapes[0].geometry = Geometry::Rectangle { center: DVec3::ZERO, half_u, half_v };

@@ -59,9 +59,9 @@ fn canonical_frame_has_exact_numbers() {
     let green = DVec3::new(0.14, 0.45, 0.091);
     let albedos = [white, white, white, red, green, DVec3::ZERO, white, red, green, white];
     assert_eq!(scene.shapes.iter().map(|shape| shape.albedo).collect::<Vec<_>>(), albedos);
-    let light = Geometry::Sphere { center: DVec3::new(0.1, 0.55, 0.1), radius: 0.2 };
+    let light = Geometry::Sphere { center: DVec3::new(0.1, 0.55, 0.1), radius: 0.2, inward: false };
     assert_eq!((&scene.shapes[5].geometry, scene.shapes[5].radiance), (&light, DVec3::splat(12.0)));
-    let small = Geometry::Sphere { center: DVec3::new(-0.45, 0.1, 0.2), radius: 0.2 };
+    let small = Geometry::Sphere { center: DVec3::new(-0.45, 0.1, 0.2), radius: 0.2, inward: false };
     assert_eq!((&scene.shapes[9].geometry, scene.shapes[9].radiance), (&small, DVec3::ZERO));
 }
 
@@ -105,10 +105,13 @@ fn parameters_are_substituted() {
         <sensor type="perspective"><float name="fov" value="40"/></sensor>
         <shape type="sphere"><point name="center" value="$a,$ab,-$a"/><float name="radius" value="$ab"/></shape>"#;
     let sphere = |options: &Options| load_with(xml, options).unwrap().scene.shapes.remove(0).geometry;
-    let expected = Geometry::Sphere { center: DVec3::new(0.25, 3.0, -0.25), radius: 3.0 };
+    let expected = Geometry::Sphere { center: DVec3::new(0.25, 3.0, -0.25), radius: 3.0, inward: false };
     assert_eq!(sphere(&Options::default()), expected);
     let set = |name: &str| Options { parameters: [(name.to_owned(), "7".to_owned())].into(), size: None };
-    assert_eq!(sphere(&set("ab")), Geometry::Sphere { center: DVec3::new(0.25, 7.0, -0.25), radius: 7.0 });
+    assert_eq!(
+        sphere(&set("ab")),
+        Geometry::Sphere { center: DVec3::new(0.25, 7.0, -0.25), radius: 7.0, inward: false }
+    );
     let error = load_with(xml, &set("b")).unwrap_err().to_string();
     assert!(error.contains("'b'") && error.contains("a, ab"), "{error}");
     let size = Options { parameters: [("size".to_owned(), "99".to_owned())].into(), size: None };
@@ -119,15 +122,17 @@ fn parameters_are_substituted() {
 #[test]
 fn shapes_and_materials() {
     let sphere = shape(r#"<shape type="sphere"/>"#);
-    assert_eq!(sphere.geometry, Geometry::Sphere { center: DVec3::ZERO, radius: 1.0 });
+    assert_eq!(sphere.geometry, Geometry::Sphere { center: DVec3::ZERO, radius: 1.0, inward: false });
     assert_eq!((sphere.name.as_str(), sphere.albedo, sphere.radiance), ("shape-1", DVec3::splat(0.5), DVec3::ZERO));
+    let cavity = shape(r#"<shape type="sphere"><boolean name="flip_normals" value="true"/></shape>"#);
+    assert_eq!(cavity.geometry, Geometry::Sphere { center: DVec3::ZERO, radius: 1.0, inward: true });
     let moved = shape(
         r#"<shape type="sphere"><point name="center" x="1"/><float name="radius" value="0.5"/>
            <transform name="to_world"><scale value="2"/><rotate z="1" angle="90"/><translate y="3"/></transform>
            <bsdf type="diffuse"><float name="reflectance" value="0.3"/></bsdf>
            <emitter type="area"><float name="radiance" value="4"/></emitter></shape>"#,
     );
-    assert_eq!(moved.geometry, Geometry::Sphere { center: DVec3::new(0.0, 5.0, 0.0), radius: 1.0 });
+    assert_eq!(moved.geometry, Geometry::Sphere { center: DVec3::new(0.0, 5.0, 0.0), radius: 1.0, inward: false });
     assert_eq!((moved.albedo, moved.radiance), (DVec3::splat(0.3), DVec3::splat(4.0)));
 
     assert_eq!(rectangle(r#"<shape type="rectangle"/>"#), (DVec3::ZERO, DVec3::X, DVec3::Y));
@@ -236,7 +241,6 @@ fn errors_name_line_and_element() {
         ),
         (3, "radiance", r#"<shape type="sphere"><emitter type="area"/></shape>"#),
         (3, "'point' is not supported", r#"<shape type="sphere"><emitter type="point"/></shape>"#),
-        (3, "outward", r#"<shape type="sphere"><boolean name="flip_normals" value="true"/></shape>"#),
         (3, "ellipsoid", r#"<shape type="sphere"><transform name="to_world"><scale x="2"/></transform></shape>"#),
         (3, "mirror", r#"<shape type="sphere"><transform name="to_world"><scale x="-1"/></transform></shape>"#),
         (3, "singular", r#"<shape type="rectangle"><transform name="to_world"><scale y="0"/></transform></shape>"#),

@@ -112,7 +112,7 @@ impl Member {
             let radiance = if i == 0 { 12.0 * (0.2 / path.radius) * (0.2 / path.radius) } else { 0.0 };
             scene.shapes.push(Shape {
                 name: SPHERE_NAMES[i].to_owned(),
-                geometry: Geometry::Sphere { center: path.center(t), radius: path.radius },
+                geometry: Geometry::Sphere { center: path.center(t), radius: path.radius, inward: false },
                 albedo: self.albedos[i],
                 radiance: DVec3::splat(radiance),
             });

@@ -19,8 +19,8 @@ impl Scene {
         state.update((self.shapes.len() as u64).to_le_bytes());
         for shape in &self.shapes {
             match shape.geometry {
-                Geometry::Sphere { center, radius } => {
-                    state.update(b"s");
+                Geometry::Sphere { center, radius, inward } => {
+                    state.update(if inward { b"i" } else { b"s" });
                     vectors(&mut state, &[center]);
                     numbers(&mut state, &[radius]);
                 }

@@ -69,7 +69,7 @@ impl Shape {
     /// Refuses a shape that cannot be rendered; see [`Scene::validate`].
     pub fn validate(&self) -> Result<()> {
         match self.geometry {
-            Geometry::Sphere { center, radius } => {
+            Geometry::Sphere { center, radius, .. } => {
                 check_point("center", center)?;
                 if !(MIN_LENGTH..=MAX_LENGTH).contains(&radius) {
                     return Err(Error::input(format!(

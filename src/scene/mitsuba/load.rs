@@ -159,9 +159,7 @@ fn sphere(object: &mut Object) -> Result<Geometry> {
     let center = object.point("center")?.unwrap_or(DVec3::ZERO);
     let radius = object.float("radius")?.unwrap_or(1.0);
     let to_world = object.transform("to_world")?.unwrap_or(DMat4::IDENTITY);
-    if object.boolean("flip_normals")? == Some(true) {
-        return Err(element.error("flip_normals of a sphere is not supported: spheres face outward"));
-    }
+    let inward = object.boolean("flip_normals")? == Some(true);
     let axes = DMat3::from_mat4(to_world);
     let scale = axes.x_axis.length();
     let gram = axes.transpose() * axes * (1.0 / (scale * scale));
@@ -171,7 +169,7 @@ fn sphere(object: &mut Object) -> Result<Geometry> {
     if axes.determinant() < 0.0 {
         return Err(element.error("to_world of a sphere mirrors it, which turns it inside out: not supported"));
     }
-    Ok(Geometry::Sphere { center: to_world.transform_point3(center), radius: scale * radius })
+    Ok(Geometry::Sphere { center: to_world.transform_point3(center), radius: scale * radius, inward })
 }
 
 fn rectangle(object: &mut Object) -> Result<Geometry> {

@@ -45,10 +45,13 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
     };
     line(xml, &format!("  <shape type=\"{kind}\" id=\"{}\">", unique_id(&shape.name, kind, ids)));
     match shape.geometry {
-        Geometry::Sphere { center, radius } => {
+        Geometry::Sphere { center, radius, inward } => {
             let [x, y, z] = center.to_array();
             line(xml, &format!("    <point name=\"center\" x=\"{x:?}\" y=\"{y:?}\" z=\"{z:?}\"/>"));
             line(xml, &format!("    <float name=\"radius\" value=\"{radius:?}\"/>"));
+            if inward {
+                line(xml, "    <boolean name=\"flip_normals\" value=\"true\"/>");
+            }
         }
         Geometry::Rectangle { center, half_u, half_v } => {
             let normal = half_u.cross(half_v).normalize_or_zero();
