@@ -13,16 +13,11 @@ const MAGIC: &[u8; 16] = b"limpid-render-1\n";
 const HASH_BYTES: usize = 32;
 
 impl Renderer {
-    /// SHA-256 of the scene as the shaders see it, in hexadecimal.
-    pub fn scene_hash(&self) -> String {
-        hex(&Sha256::digest(bytemuck::cast_slice::<_, u8>(&self.rows)))
-    }
-
     /// Whatever changes the sums, apart from the number of samples.
     fn identity(&self) -> [u8; HASH_BYTES] {
         let s = &self.settings;
         let mut hash = Sha256::new();
-        hash.update(self.scene_hash());
+        hash.update(bytemuck::cast_slice::<_, u8>(&self.rows));
         hash.update(format!(
             "{}x{} {} {} {} {} {} {} {:?}",
             self.state.width,
@@ -107,8 +102,4 @@ impl Renderer {
             other => other,
         })
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
 }

@@ -70,7 +70,7 @@ impl Renderer {
         attribute("aa", settings.aa.to_string());
         attribute("device", self.gpu.info().name.clone());
         attribute("driver", self.gpu.info().driver.clone());
-        attribute("sceneHash", self.scene_hash());
+        attribute("sceneHash", self.scene_hash.clone());
         attribute("invalidSamples", stats.invalid.to_string());
         attribute("depth", "ray".to_owned());
         Ok(image)

@@ -4,14 +4,12 @@ use glam::{DMat3, DVec3};
 
 use super::features::{axis_of, emits, is_inward, is_rect};
 use crate::scene::{Geometry, Scene, Shape};
-use crate::{Error, Result};
+use crate::Result;
 
 /// Rows of the camera before the first primitive.
 const CAMERA_ROWS: usize = 4;
 /// Rows of one primitive (glsl/path_trace.comp names them).
 const PRIMITIVE_ROWS: usize = 9;
-/// Largest emitted radiance: sums of 2^24 samples stay finite in f32.
-const MAX_RADIANCE: f64 = 1e30;
 
 /// Where the scene is and how large: its centre becomes the origin and `scale`, a power of two, brings its half extent into [1, 2).
 /// A power of two changes no bit of a mantissa, so scenes that differ by one give the same image.
@@ -52,7 +50,7 @@ pub(super) fn order(scene: &Scene) -> Vec<usize> {
 
 /// The rows of a checked scene.
 pub(super) fn pack(scene: &Scene) -> Result<Vec<[f32; 4]>> {
-    check(scene)?;
+    scene.validate()?;
     let frame = Frame::of(scene);
     let extent = frame.half_extent * frame.scale;
     let offset = 2e-5 * extent;
@@ -145,55 +143,4 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
 fn snap(v: DVec3, aligned: bool) -> DVec3 {
     let limit = v.length() * 1e-6;
     if aligned { DVec3::from_array(v.to_array().map(|x| if x.abs() < limit { 0.0 } else { x })) } else { v }
-}
-
-fn check(scene: &Scene) -> Result<()> {
-    let camera = &scene.camera;
-    let fail = |what: String| Err(Error::input(what));
-    if camera.width == 0 || camera.height == 0 || camera.width > 65_535 || camera.height > 65_535 {
-        return fail(format!("image size {}x{}: each side must be 1 to 65535 pixels", camera.width, camera.height));
-    }
-    if !(camera.fov_x_degrees > 0.0 && camera.fov_x_degrees < 180.0) {
-        return fail(format!("field of view {} degrees: must lie between 0 and 180", camera.fov_x_degrees));
-    }
-    let axes = DMat3::from_mat4(camera.to_world);
-    if !camera.to_world.is_finite()
-        || (axes.transpose() * axes - DMat3::IDENTITY).to_cols_array().iter().any(|x| x.abs() > 1e-6)
-    {
-        return fail("camera: its transform must be a rotation and a translation, without scale".into());
-    }
-    scene.shapes.iter().try_for_each(check_shape)?;
-    let frame = Frame::of(scene);
-    if !(frame.half_extent > 1e-30 && frame.half_extent < 1e30) {
-        return fail(format!("the scene's half extent is {:e}: must lie between 1e-30 and 1e30", frame.half_extent));
-    }
-    Ok(())
-}
-
-fn check_shape(shape: &Shape) -> Result<()> {
-    let name = &shape.name;
-    let fail = |what: String| Err(Error::input(format!("shape `{name}`: {what}")));
-    match shape.geometry {
-        Geometry::Sphere { center, radius, .. } => {
-            if !center.is_finite() || !(radius > 0.0 && radius.is_finite()) {
-                return fail(format!("centre {center} and radius {radius} must be finite, the radius positive"));
-            }
-        }
-        Geometry::Rectangle { center, half_u, half_v } => {
-            let (u, v) = (half_u.length(), half_v.length());
-            if !center.is_finite() || !(u > 0.0 && v > 0.0 && (u * v).is_finite()) {
-                return fail("its centre must be finite and its edges longer than zero".into());
-            }
-            if half_u.dot(half_v).abs() > 1e-6 * u * v {
-                return fail("its edges must be perpendicular (no shear)".into());
-            }
-        }
-    }
-    if !shape.albedo.to_array().iter().all(|a| (0.0..=1.0).contains(a)) {
-        return fail(format!("reflectance {} must lie between 0 and 1", shape.albedo));
-    }
-    if !shape.radiance.to_array().iter().all(|r| (0.0..=MAX_RADIANCE).contains(r)) {
-        return fail(format!("radiance {} must lie between 0 and {MAX_RADIANCE:e}", shape.radiance));
-    }
-    Ok(())
 }

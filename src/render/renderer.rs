@@ -77,6 +77,7 @@ pub struct Renderer {
     pub(super) state: State,
     pub(super) cursor: Cursor,
     pub(super) rows: Vec<[f32; 4]>,
+    pub(super) scene_hash: String,
     scene: Buffer,
     trace: Kernel<shaders::path_trace::Shader>,
     resolve: Kernel<shaders::resolve::Shader>,
@@ -117,6 +118,7 @@ impl Renderer {
             settings: settings.clone(),
             cursor: Cursor::default(),
             rows,
+            scene_hash: scene.hash(),
             scene: buffer,
             trace,
             resolve,
@@ -142,6 +144,7 @@ impl Renderer {
         }
         self.gpu.upload(&self.scene.all(), &rows)?;
         self.rows = rows;
+        self.scene_hash = scene.hash();
         self.restart();
         Ok(())
     }
