@@ -6,6 +6,7 @@ pub mod error;
 pub mod gpu;
 pub mod image;
 pub mod net;
+pub mod render;
 pub mod scene;
 pub mod shaders;
 pub mod train;

@@ -1,5 +1,15 @@
 //! Scenes: what is rendered, in f64 on the host, before the renderer recentres and packs it.
 
+mod camera;
+pub mod family;
+mod hash;
+pub mod math;
+pub mod mitsuba;
+mod spec;
+pub mod validate;
+
+pub use spec::{Loaded, Spec};
+
 use glam::{DMat4, DVec3};
 
 /// A pinhole camera.
@@ -18,12 +28,14 @@ pub struct Camera {
 /// The surface of one shape.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Geometry {
-    /// A sphere, visible from both sides; its normal points outward.
+    /// A sphere. One-sided along its normal, as Mitsuba's `diffuse` and `area`.
     Sphere {
         /// Centre, world space.
         center: DVec3,
         /// Radius, world units, > 0.
         radius: f64,
+        /// The normal points to the centre (a cavity; Mitsuba's `flip_normals`), not outward.
+        inward: bool,
     },
     /// A rectangle `center + s*half_u + t*half_v`, s and t in [-1, 1]; its normal is `half_u x half_v`. One-sided, as
     /// Mitsuba's `diffuse` and `area`: the back neither reflects nor emits, but blocks.
@@ -57,4 +69,13 @@ pub struct Scene {
     pub camera: Camera,
     /// All shapes, lights included.
     pub shapes: Vec<Shape>,
+}
+
+/// A half line in world space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ray {
+    /// Where it starts, world space.
+    pub origin: DVec3,
+    /// Where it goes, unit length, world space.
+    pub direction: DVec3,
 }

@@ -1,0 +1,201 @@
+//! What a scene and its settings need. Everything else is compiled out of the pipelines.
+
+use glam::DVec3;
+
+use super::pack::{Frame, order};
+use super::settings::{Estimator, Sampler, Settings};
+use crate::scene::{Geometry, Scene, Shape};
+use crate::shaders;
+
+/// Up to this many spheres and as many rectangles are held in registers and tested without a loop.
+pub const MAX_UNROLLED: usize = 16;
+
+/// Counts and kinds that specialise the pipelines. Two scenes with equal features share them.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Features {
+    /// Spheres.
+    pub sphere_count: u32,
+    /// Rectangles.
+    pub rect_count: u32,
+    /// Spheres that emit outward.
+    pub sphere_light_count: u32,
+    /// Rectangles that emit.
+    pub rect_light_count: u32,
+    /// Spheres whose normal points inward.
+    pub inward_count: u32,
+    /// Of these, those that emit.
+    pub inward_light_count: u32,
+    /// Two bits a rectangle: 0 any orientation, 1, 2, 3 across x, y, z.
+    pub rect_axes: u32,
+    /// One bit a rectangle: set where it can come between a surface and a light.
+    pub rect_blockers: u32,
+    /// Few primitives: all in registers.
+    pub preload: bool,
+    /// The camera is inside a sphere whose normal points outward.
+    pub camera_inside: bool,
+    /// As in [`Settings`].
+    pub estimator: Estimator,
+    /// As in [`Settings`].
+    pub sampler: Sampler,
+    /// As in [`Settings`].
+    pub bounces: u32,
+    /// As in [`Settings`].
+    pub aa: bool,
+    /// The variance of the mean is kept.
+    pub variance: bool,
+}
+
+impl Features {
+    /// Reads them off a scene and its settings.
+    pub fn new(scene: &Scene, settings: &Settings) -> Self {
+        let shapes: Vec<&Shape> = order(scene).into_iter().map(|i| &scene.shapes[i]).collect();
+        let count = |f: &dyn Fn(&Shape) -> bool| shapes.iter().filter(|s| f(s)).count() as u32;
+        let rects: Vec<&Shape> = shapes.iter().copied().filter(|s| is_rect(s)).collect();
+        let (sphere_count, rect_count) = (count(&|s| !is_rect(s)), rects.len() as u32);
+        let preload = sphere_count.max(rect_count) as usize <= MAX_UNROLLED;
+        let frame = Frame::of(scene);
+        let (mut rect_axes, mut rect_blockers) = (0, u32::MAX);
+        if preload {
+            rect_blockers = 0;
+            for (i, rect) in rects.iter().enumerate() {
+                rect_axes |= axis_of(&rect.geometry) << (2 * i);
+                rect_blockers |= u32::from(can_block(rect, &shapes, 1e-7 * frame.half_extent)) << i;
+            }
+        }
+        Self {
+            sphere_count,
+            rect_count,
+            sphere_light_count: count(&|s| !is_rect(s) && !is_inward(s) && emits(s)),
+            rect_light_count: count(&|s| is_rect(s) && emits(s)),
+            inward_count: count(&is_inward),
+            inward_light_count: count(&|s| is_inward(s) && emits(s)),
+            rect_axes,
+            rect_blockers,
+            preload,
+            camera_inside: camera_inside(scene),
+            estimator: settings.estimator,
+            sampler: settings.sampler,
+            bounces: settings.bounces,
+            aa: settings.aa,
+            variance: settings.batch_size() > 0,
+        }
+    }
+
+    pub(super) fn path_trace_spec(&self) -> shaders::path_trace::Spec {
+        shaders::path_trace::Spec {
+            sphere_count: self.sphere_count,
+            rect_count: self.rect_count,
+            sphere_light_count: self.sphere_light_count,
+            rect_light_count: self.rect_light_count,
+            inward_first: self.sphere_count - self.inward_count,
+            inward_light_count: self.inward_light_count,
+            rect_axes: self.rect_axes,
+            rect_blockers: self.rect_blockers,
+            preload: self.preload,
+            camera_inside: self.camera_inside,
+            estimator: match self.estimator {
+                Estimator::Uniform => 0,
+                Estimator::Cosine => 1,
+                Estimator::Nee => 2,
+            },
+            sampler: match self.sampler {
+                Sampler::Pcg => 0,
+                Sampler::Sobol => 1,
+            },
+            bounces: self.bounces,
+            antialias: self.aa,
+            variance: self.variance,
+        }
+    }
+
+    /// Loop iterations of one path at most, inner loops included.
+    pub(super) fn iterations_per_path(&self) -> u32 {
+        let primitives = if self.preload { 0 } else { self.sphere_count + self.rect_count };
+        let lights = self.sphere_light_count + self.rect_light_count;
+        let queries = if self.estimator == Estimator::Nee { 2 * primitives + lights } else { primitives };
+        (self.bounces + 2) * (1 + queries)
+    }
+
+    /// What this scene does not need and the pipelines therefore do not have, in words.
+    pub fn skipped(&self) -> Vec<String> {
+        let mut list = Vec::new();
+        let mut skip = |yes: bool, text: &str| {
+            if yes {
+                list.push(text.to_owned());
+            }
+        };
+        let lights = self.sphere_light_count + self.rect_light_count;
+        let free = (0..self.rect_count).filter(|i| self.preload && self.rect_blockers >> i & 1 == 0).count();
+        let aligned = (0..self.rect_count).filter(|i| self.preload && self.rect_axes >> (2 * i) & 3 != 0).count();
+        skip(self.sphere_count == 0, "sphere intersection");
+        skip(self.rect_count == 0, "rectangle intersection");
+        skip(self.sphere_light_count == 0, "sphere lights");
+        skip(self.rect_light_count == 0, "rectangle lights and multiple importance sampling");
+        skip(self.inward_count == 0, "inward spheres");
+        skip(lights < 2 && self.estimator == Estimator::Nee, "choice among lights");
+        skip(self.estimator != Estimator::Nee, "light sampling and shadow rays");
+        skip(!self.camera_inside, "far sides of outward spheres");
+        skip(self.preload, "primitive loops (all primitives in registers)");
+        skip(!self.aa, "a camera ray for every sample (one first hit a pixel)");
+        skip(!self.variance, "variance");
+        if aligned > 0 {
+            skip(true, &format!("general plane tests for {aligned} axis-aligned rectangles"));
+        }
+        if free > 0 && self.estimator == Estimator::Nee {
+            skip(true, &format!("shadow tests against {free} rectangles that bound the scene"));
+        }
+        list
+    }
+}
+
+pub(super) fn is_rect(shape: &Shape) -> bool {
+    matches!(shape.geometry, Geometry::Rectangle { .. })
+}
+
+pub(super) fn is_inward(shape: &Shape) -> bool {
+    matches!(shape.geometry, Geometry::Sphere { inward: true, .. })
+}
+
+pub(super) fn emits(shape: &Shape) -> bool {
+    shape.radiance.max_element() > 0.0
+}
+
+fn camera_inside(scene: &Scene) -> bool {
+    let eye = scene.camera.to_world.w_axis.truncate();
+    scene.shapes.iter().any(|s| match s.geometry {
+        Geometry::Sphere { center, radius, inward: false } => eye.distance(center) <= radius,
+        _ => false,
+    })
+}
+
+/// 1, 2, 3 where the edges run along axes and the normal along x, y, z; 0 otherwise.
+pub(super) fn axis_of(geometry: &Geometry) -> u32 {
+    let Geometry::Rectangle { half_u, half_v, .. } = geometry else { return 0 };
+    let along = |v: DVec3| {
+        let (v, length) = (v.abs(), v.length());
+        (0..3).find(|&i| v[i] >= length * (1.0 - 1e-12) && (0..3).all(|j| j == i || v[j] <= 1e-9 * length))
+    };
+    match (along(*half_u), along(*half_v)) {
+        (Some(u), Some(v)) if u != v => (3 - u - v) as u32 + 1,
+        _ => 0,
+    }
+}
+
+/// A rectangle that has the whole scene on one side of its plane never comes between two surfaces.
+fn can_block(rect: &Shape, shapes: &[&Shape], tolerance: f64) -> bool {
+    let Geometry::Rectangle { center, half_u, half_v } = rect.geometry else { return true };
+    let normal = half_u.cross(half_v).normalize();
+    let (mut low, mut high) = (0.0f64, 0.0f64);
+    for shape in shapes {
+        let (c, reach) = match shape.geometry {
+            Geometry::Sphere { center, radius, .. } => (center, radius),
+            Geometry::Rectangle { center, half_u, half_v } => {
+                (center, half_u.dot(normal).abs() + half_v.dot(normal).abs())
+            }
+        };
+        let distance = (c - center).dot(normal);
+        low = low.min(distance - reach);
+        high = high.max(distance + reach);
+    }
+    low < -tolerance && high > tolerance
+}

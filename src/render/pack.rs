@@ -1,0 +1,146 @@
+//! The scene as the shaders read it: checked, recentred and scaled in f64, then rows of four f32.
+
+use glam::{DMat3, DVec3};
+
+use super::features::{axis_of, emits, is_inward, is_rect};
+use crate::scene::{Geometry, Scene, Shape};
+use crate::Result;
+
+/// Rows of the camera before the first primitive.
+const CAMERA_ROWS: usize = 4;
+/// Rows of one primitive (glsl/path_trace.comp names them).
+const PRIMITIVE_ROWS: usize = 9;
+
+/// Where the scene is and how large: its centre becomes the origin and `scale`, a power of two, brings its half extent into [1, 2).
+/// A power of two changes no bit of a mantissa, so scenes that differ by one give the same image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Frame {
+    pub center: DVec3,
+    pub half_extent: f64,
+    pub scale: f64,
+}
+
+impl Frame {
+    pub(super) fn of(scene: &Scene) -> Self {
+        let eye = scene.camera.to_world.w_axis.truncate();
+        let (mut low, mut high) = (eye, eye);
+        for shape in &scene.shapes {
+            let (center, reach) = match shape.geometry {
+                Geometry::Sphere { center, radius, .. } => (center, DVec3::splat(radius)),
+                Geometry::Rectangle { center, half_u, half_v } => (center, half_u.abs() + half_v.abs()),
+            };
+            low = low.min(center - reach);
+            high = high.max(center + reach);
+        }
+        let half_extent = (0.5 * (high - low)).max_element();
+        let half_extent = if half_extent > 0.0 { half_extent } else { 1.0 };
+        Self { center: 0.5 * (low + high), half_extent, scale: (-half_extent.log2().floor()).exp2() }
+    }
+}
+
+/// The shapes in the order of the buffers: spheres (outward lights, outward, inward lights, inward), then rectangles (lights, others).
+pub(super) fn order(scene: &Scene) -> Vec<usize> {
+    let mut indices: Vec<usize> = (0..scene.shapes.len()).collect();
+    indices.sort_by_key(|&i| {
+        let s = &scene.shapes[i];
+        (is_rect(s), is_inward(s), !emits(s))
+    });
+    indices
+}
+
+/// The rows of a checked scene.
+pub(super) fn pack(scene: &Scene) -> Result<Vec<[f32; 4]>> {
+    scene.validate()?;
+    let frame = Frame::of(scene);
+    let extent = frame.half_extent * frame.scale;
+    let offset = 2e-5 * extent;
+    let order = order(scene);
+    let mut rows = Vec::with_capacity(CAMERA_ROWS + PRIMITIVE_ROWS * order.len().max(1));
+    pack_camera(scene, &frame, offset, &mut rows);
+    let power: Vec<f64> =
+        order.iter().map(|&i| if sampled(&scene.shapes[i]) { power(&scene.shapes[i]) } else { 0.0 }).collect();
+    let total: f64 = power.iter().sum();
+    let last_light = power.iter().rposition(|&p| p > 0.0);
+    let mut below = 0.0;
+    for (k, &i) in order.iter().enumerate() {
+        let shape = &scene.shapes[i];
+        below += power[k];
+        // The last light's share ends at 1 whatever the rounding.
+        let upper = if Some(k) == last_light {
+            1.0
+        } else if total > 0.0 {
+            below / total
+        } else {
+            0.0
+        };
+        pack_shape(shape, &frame, offset, extent, upper, &mut rows);
+    }
+    if order.is_empty() {
+        rows.resize(CAMERA_ROWS + PRIMITIVE_ROWS, [0.0; 4]);
+    }
+    Ok(rows)
+}
+
+/// Is this a light that is sampled directly? Inward lights surround their receivers and are left to the bounces.
+fn sampled(shape: &Shape) -> bool {
+    emits(shape) && !is_inward(shape)
+}
+
+fn power(shape: &Shape) -> f64 {
+    let area = match shape.geometry {
+        Geometry::Sphere { radius, .. } => 4.0 * std::f64::consts::PI * radius * radius,
+        Geometry::Rectangle { half_u, half_v, .. } => 4.0 * half_u.length() * half_v.length(),
+    };
+    area * shape.radiance.element_sum()
+}
+
+fn row(v: DVec3, w: f64) -> [f32; 4] {
+    [v.x as f32, v.y as f32, v.z as f32, w as f32]
+}
+
+fn pack_camera(scene: &Scene, frame: &Frame, offset: f64, rows: &mut Vec<[f32; 4]>) {
+    let camera = &scene.camera;
+    let axes = DMat3::from_mat4(camera.to_world);
+    let half_width = (0.5 * camera.fov_x_degrees.to_radians()).tan();
+    let half_height = half_width * f64::from(camera.height) / f64::from(camera.width);
+    let eye = (camera.to_world.w_axis.truncate() - frame.center) * frame.scale;
+    rows.push(row(eye, offset));
+    rows.push(row(axes.x_axis * half_width, 1.0 / frame.scale));
+    rows.push(row(axes.y_axis * half_height, 0.0));
+    rows.push(row(-axes.z_axis, 0.0));
+}
+
+fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64, rows: &mut Vec<[f32; 4]>) {
+    let begin = rows.len();
+    let place = |p: DVec3| (p - frame.center) * frame.scale;
+    match shape.geometry {
+        Geometry::Sphere { center, radius, inward } => {
+            rows.push(row(place(center), radius * frame.scale));
+            rows.push(row(shape.albedo, f64::from(u8::from(inward))));
+            rows.push(row(shape.radiance, upper));
+        }
+        Geometry::Rectangle { center, half_u, half_v } => {
+            let aligned = axis_of(&shape.geometry) != 0;
+            let (u, v) = (snap(half_u * frame.scale, aligned), snap(half_v * frame.scale, aligned));
+            let (lu, lv) = (u.length(), v.length());
+            // A gap between touching rectangles would leak: the test is a few roundings wider than the surface.
+            let (test_u, test_v) = (1.0 + 2e-6 * extent / lu, 1.0 + 2e-6 * extent / lv);
+            rows.push(row(place(center), 4.0 * lu * lv));
+            rows.push(row(shape.albedo, 0.0));
+            rows.push(row(shape.radiance, upper));
+            rows.push(row(u.cross(v).normalize(), 0.0));
+            rows.push(row(u / (lu * lu), test_u));
+            rows.push(row(v / (lv * lv), test_v));
+            rows.push(row(u, (1.0 - offset / lu).max(0.0)));
+            rows.push(row(v, (1.0 - offset / lv).max(0.0)));
+            rows.push(row(u.abs() * test_u + v.abs() * test_v, 0.0));
+        }
+    }
+    rows.resize(begin + PRIMITIVE_ROWS, [0.0; 4]);
+}
+
+/// Rotations in floating point leave 1e-17 where an edge along an axis has zeros.
+fn snap(v: DVec3, aligned: bool) -> DVec3 {
+    let limit = v.length() * 1e-6;
+    if aligned { DVec3::from_array(v.to_array().map(|x| if x.abs() < limit { 0.0 } else { x })) } else { v }
+}

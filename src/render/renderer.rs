@@ -1,0 +1,325 @@
+//! Runs the kernels in dispatches that respect the device's limits of time and of loops.
+
+use super::features::Features;
+use super::pack::pack;
+use super::probe::loop_limit;
+use super::settings::Settings;
+use super::state::{Cursor, State};
+use crate::gpu::{Buffer, Gpu, Kernel};
+use crate::scene::Scene;
+use crate::{Error, Result, shaders};
+
+crate::push_block! {
+    /// Push constants of `path_trace`.
+    pub struct TracePush for crate::shaders::path_trace {
+        width: u32, height: u32, window_row: u32, row_begin: u32, row_end: u32,
+        sample_begin: u32, sample_end: u32, seed: u32, batch_size: u32, write_aov: u32
+    }
+}
+crate::push_block! {
+    /// Push constants of `resolve`.
+    pub struct ResolvePush for crate::shaders::resolve {
+        pixel_begin: u32, pixel_end: u32, sample_count: u32, batch_count: u32
+    }
+}
+
+/// Samples of one dispatch at most; more gain nothing.
+const MAX_CHUNK: u32 = 64;
+/// Rows of a work group.
+const GROUP: u32 = 8;
+/// A dispatch should take about this long, well under the watchdogs of desktop drivers.
+const TARGET_SECONDS: f64 = 0.25;
+
+/// How far a render is after one more dispatch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Samples that every pixel has.
+    pub samples_done: u32,
+    /// Share of all the work that is done, 0 to 1.
+    pub fraction: f64,
+    /// Device time of this dispatch.
+    pub device_ms: f64,
+}
+
+impl Progress {
+    /// Nothing is left to do.
+    pub fn done(&self) -> bool {
+        self.fraction >= 1.0
+    }
+}
+
+/// What a render has cost so far.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Stats {
+    /// Closest-hit and shadow queries traced, counted on the device.
+    pub rays: u64,
+    /// Samples traced (a pixel found exact takes none where the first hit is shared).
+    pub samples: u64,
+    /// Samples dropped because they were not finite or negative.
+    pub invalid: u64,
+    /// Device time of all dispatches since the last restart.
+    pub device_ms: f64,
+    /// Creation of this renderer's pipelines.
+    pub pipeline_ms: f64,
+    /// The longest dispatch.
+    pub longest_dispatch_ms: f64,
+    /// Dispatches of the path tracer.
+    pub dispatches: u32,
+    /// What the pipelines do without.
+    pub skipped: Vec<String>,
+}
+
+/// Pipelines and buffers for one size and one set of [`Features`]; any scene with the same can be set.
+pub struct Renderer {
+    pub(super) gpu: Gpu,
+    pub(super) features: Features,
+    pub(super) settings: Settings,
+    pub(super) state: State,
+    pub(super) cursor: Cursor,
+    pub(super) rows: Vec<[f32; 4]>,
+    pub(super) scene_hash: String,
+    scene: Buffer,
+    trace: Kernel<shaders::path_trace::Shader>,
+    resolve: Kernel<shaders::resolve::Shader>,
+    max_chunk: u32,
+    clear_first: bool,
+    pub(super) resolved: bool,
+    /// Pixel samples a second, measured as the render goes.
+    rate: f64,
+    stats: Stats,
+}
+
+impl Renderer {
+    /// Checks the scene, creates pipelines and buffers, uploads.
+    pub fn new(gpu: &Gpu, scene: &Scene, settings: &Settings) -> Result<Self> {
+        settings.check()?;
+        let rows = pack(scene)?;
+        let features = Features::new(scene, settings);
+        let before = gpu.pipeline_ms();
+        let trace = gpu.kernel::<shaders::path_trace::Shader>(&features.path_trace_spec())?;
+        let spec = shaders::resolve::Spec { antialias: features.aa, variance: features.variance };
+        let resolve = gpu.kernel::<shaders::resolve::Shader>(&spec)?;
+        let limit = loop_limit(gpu)? / 2;
+        let pipeline_ms = gpu.pipeline_ms() - before;
+        let per_path = features.iterations_per_path();
+        if per_path > limit {
+            return Err(Error::input(format!(
+                "{} bounces in a scene of {} shapes need {per_path} loop iterations a path, and {} allows {limit}: lower the bounces",
+                features.bounces,
+                features.sphere_count + features.rect_count,
+                gpu.info().name
+            )));
+        }
+        let buffer = gpu.buffer("scene", std::mem::size_of_val(rows.as_slice()) as u64)?;
+        gpu.upload(&buffer.all(), &rows)?;
+        Ok(Self {
+            state: State::new(gpu, scene.camera.width, scene.camera.height, &features)?,
+            gpu: gpu.clone(),
+            settings: settings.clone(),
+            cursor: Cursor::default(),
+            rows,
+            scene_hash: scene.hash(),
+            scene: buffer,
+            trace,
+            resolve,
+            max_chunk: (limit / per_path).clamp(1, MAX_CHUNK),
+            clear_first: true,
+            resolved: false,
+            rate: if gpu.info().is_cpu { 4e6 } else { 1e8 },
+            stats: Stats { pipeline_ms, skipped: features.skipped(), ..Stats::default() },
+            features,
+        })
+    }
+
+    /// Sets another scene of the same size and features and starts over; only uploads.
+    pub fn set_scene(&mut self, scene: &Scene) -> Result<()> {
+        let rows = pack(scene)?;
+        let features = Features::new(scene, &self.settings);
+        if features != self.features
+            || (scene.camera.width, scene.camera.height) != (self.state.width, self.state.height)
+        {
+            return Err(Error::input(
+                "this scene differs from the renderer's in size or features: make a new renderer",
+            ));
+        }
+        self.gpu.upload(&self.scene.all(), &rows)?;
+        self.rows = rows;
+        self.scene_hash = scene.hash();
+        self.restart();
+        Ok(())
+    }
+
+    /// Sets the seed and starts over.
+    pub fn set_seed(&mut self, seed: u32) {
+        self.settings.seed = seed;
+        self.restart();
+    }
+
+    /// Starts over: no samples, zero device time.
+    pub fn restart(&mut self) {
+        self.cursor = Cursor::default();
+        self.clear_first = true;
+        self.resolved = false;
+        self.stats.device_ms = 0.0;
+        self.stats.dispatches = 0;
+        self.stats.longest_dispatch_ms = 0.0;
+    }
+
+    /// At most this many samples in one dispatch (1 to 64). No choice changes a bit of the image.
+    pub fn limit_chunk(&mut self, samples: u32) {
+        self.max_chunk = self.max_chunk.min(samples.max(1));
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// What the pipelines were specialised for.
+    pub fn features(&self) -> &Features {
+        &self.features
+    }
+
+    /// Width and height in pixels.
+    pub fn size(&self) -> (u32, u32) {
+        (self.state.width, self.state.height)
+    }
+
+    /// Samples that every pixel has.
+    pub fn samples_done(&self) -> u32 {
+        self.cursor.begin
+    }
+
+    /// One dispatch: a band of rows, a range of samples. Does nothing when all is done.
+    pub fn advance(&mut self) -> Result<Progress> {
+        if self.cursor.begin >= self.settings.spp {
+            return Ok(self.progress(0.0));
+        }
+        let (height, width) = (self.state.height, self.state.width);
+        let affordable = (self.rate * TARGET_SECONDS).max(1.0);
+        if self.cursor.row == 0 {
+            let chunk = (affordable / f64::from(width * GROUP.min(height))) as u32;
+            let chunk = chunk.clamp(1, self.max_chunk).min(self.settings.spp - self.cursor.begin);
+            self.cursor.end = self.cursor.begin + chunk;
+        }
+        let samples = self.cursor.end - self.cursor.begin;
+        let rows = (affordable / (f64::from(width) * f64::from(samples))).min(f64::from(height)) as u32;
+        let rows = (rows / GROUP * GROUP).max(GROUP);
+        let window = self.cursor.row / self.state.window_rows * self.state.window_rows;
+        let row_end = (self.cursor.row + rows).min(window + self.state.window_rows).min(height);
+        let ms = self.dispatch(window, self.cursor.row..row_end, self.cursor.begin..self.cursor.end)?;
+        let paths = f64::from(row_end - self.cursor.row) * f64::from(width) * f64::from(samples);
+        self.rate = (paths / (ms * 1e-3).max(1e-6)).min(4.0 * self.rate);
+        self.stats.dispatches += 1;
+        self.stats.longest_dispatch_ms = self.stats.longest_dispatch_ms.max(ms);
+        self.cursor.row = row_end;
+        if row_end == height {
+            self.cursor = Cursor { begin: self.cursor.end, end: self.cursor.end, row: 0 };
+        }
+        self.resolved = false;
+        Ok(self.progress(ms))
+    }
+
+    fn dispatch(&mut self, window: u32, rows: std::ops::Range<u32>, samples: std::ops::Range<u32>) -> Result<f64> {
+        let push = TracePush {
+            width: self.state.width,
+            height: self.state.height,
+            window_row: window,
+            row_begin: rows.start,
+            row_end: rows.end,
+            sample_begin: samples.start,
+            sample_end: samples.end,
+            seed: self.settings.seed,
+            batch_size: self.settings.batch_size(),
+            write_aov: u32::from(samples.start == 0),
+        };
+        let mut rec = self.gpu.recorder();
+        if self.clear_first {
+            self.state.record_clear(&mut rec);
+        }
+        let groups = [push.width.div_ceil(GROUP), (rows.end - rows.start).div_ceil(GROUP), 1];
+        rec.dispatch(&self.trace, &self.state.path_trace_bind(&self.scene, window), &push, groups);
+        let ms = rec.finish()?.run()?.device_ms;
+        self.clear_first = false;
+        self.stats.device_ms += ms;
+        Ok(ms)
+    }
+
+    fn progress(&self, device_ms: f64) -> Progress {
+        let Cursor { begin, end, row } = self.cursor;
+        let partial = f64::from(end - begin) * f64::from(row) / f64::from(self.state.height);
+        Progress {
+            samples_done: begin,
+            fraction: (f64::from(begin) + partial) / f64::from(self.settings.spp),
+            device_ms,
+        }
+    }
+
+    /// Runs to the last sample.
+    pub fn finish(&mut self) -> Result<()> {
+        while !self.advance()?.done() {}
+        Ok(())
+    }
+
+    /// Brings the first hits back after their buffers were lost (a restored checkpoint has only sums).
+    pub(super) fn restore_first_hits(&mut self) -> Result<()> {
+        self.clear_first = false;
+        self.resolved = false;
+        if self.features.aa {
+            return Ok(());
+        }
+        for window in (0..self.state.height).step_by(self.state.window_rows as usize) {
+            let end = (window + self.state.window_rows).min(self.state.height);
+            self.dispatch(window, window..end, 0..0)?;
+        }
+        Ok(())
+    }
+
+    /// Turns the sums into means, where that has not been done since the last dispatch.
+    pub(super) fn resolve(&mut self) -> Result<()> {
+        if self.resolved {
+            return Ok(());
+        }
+        let mut rec = self.gpu.recorder();
+        if self.clear_first {
+            self.state.record_clear(&mut rec);
+            self.clear_first = false;
+        }
+        let Cursor { begin, end, row } = self.cursor;
+        for window in (0..self.state.height).step_by(self.state.window_rows as usize) {
+            let last = (window + self.state.window_rows).min(self.state.height);
+            let bind = self.state.resolve_bind(window);
+            let cut = row.clamp(window, last);
+            for (rows, sample_count) in [(window..cut, end), (cut..last, begin)] {
+                if rows.is_empty() {
+                    continue;
+                }
+                let batch_count = sample_count.checked_div(self.settings.batch_size()).unwrap_or(0);
+                let push = ResolvePush {
+                    pixel_begin: (rows.start - window) * self.state.width,
+                    pixel_end: (rows.end - window) * self.state.width,
+                    sample_count,
+                    batch_count,
+                };
+                let groups = (push.pixel_end - push.pixel_begin).div_ceil(256);
+                rec.dispatch(&self.resolve, &bind, &push, [groups, 1, 1]);
+            }
+        }
+        self.stats.device_ms += rec.finish()?.run()?.device_ms;
+        self.resolved = true;
+        Ok(())
+    }
+
+    /// What the render has cost; sums the device's counters.
+    pub fn stats(&self) -> Result<Stats> {
+        let mut stats = self.stats.clone();
+        if !self.clear_first {
+            for c in self.gpu.download::<[u32; 4]>(&self.state.counts.all())? {
+                stats.rays += u64::from(c[0]);
+                stats.samples += u64::from(c[1]);
+                stats.invalid += u64::from(c[2]);
+            }
+        }
+        Ok(stats)
+    }
+}

@@ -1,0 +1,122 @@
+//! What the caller may choose.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::{Error, Result};
+
+/// How light is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Estimator {
+    /// Uniform directions on the hemisphere; light only where a path hits it.
+    Uniform,
+    /// Cosine-weighted directions; light only where a path hits it.
+    Cosine,
+    /// Cosine-weighted directions and, at every hit, a sample of a light (next-event estimation).
+    Nee,
+}
+
+/// Where the random numbers come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Sampler {
+    /// Independent numbers from a hash of (pixel, sample, dimension, seed).
+    Pcg,
+    /// Owen-scrambled Sobol points, padded in pairs of dimensions (Burley 2020).
+    Sobol,
+}
+
+/// Settings of a render.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Settings {
+    /// Samples a pixel, >= 1.
+    pub spp: u32,
+    /// Seed of all random numbers.
+    pub seed: u32,
+    /// Reflections a path may make; 0 shows only what emits.
+    pub bounces: u32,
+    /// How light is found.
+    pub estimator: Estimator,
+    /// Where the random numbers come from.
+    pub sampler: Sampler,
+    /// Every sample has its own camera ray, uniform in the pixel; first-hit values are averages. Otherwise all samples
+    /// share the hit of the ray through the pixel's centre.
+    pub aa: bool,
+    /// Keep the variance of the mean (`pcg` with at least 8 samples only; absent otherwise).
+    pub variance: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            spp: 16,
+            seed: 0,
+            bounces: 8,
+            estimator: Estimator::Nee,
+            sampler: Sampler::Sobol,
+            aa: false,
+            variance: false,
+        }
+    }
+}
+
+impl Settings {
+    /// Samples in one batch of the variance estimate; 0 where there is none.
+    pub fn batch_size(&self) -> u32 {
+        if self.variance && self.sampler == Sampler::Pcg { (self.spp / 8).min(64) } else { 0 }
+    }
+
+    /// The largest bounce limit: a path must fit into the loop budget of one dispatch.
+    pub const MAX_BOUNCES: u32 = 1024;
+
+    pub(super) fn check(&self) -> Result<()> {
+        if self.spp == 0 {
+            return Err(Error::input("0 samples a pixel: ask for at least 1"));
+        }
+        if self.bounces > Self::MAX_BOUNCES {
+            return Err(Error::input(format!("{} bounces: at most {}", self.bounces, Self::MAX_BOUNCES)));
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Estimator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Uniform => "uniform",
+            Self::Cosine => "cosine",
+            Self::Nee => "nee",
+        })
+    }
+}
+
+impl FromStr for Estimator {
+    type Err = Error;
+    fn from_str(s: &str) -> Result<Self> {
+        match s {
+            "uniform" => Ok(Self::Uniform),
+            "cosine" => Ok(Self::Cosine),
+            "nee" => Ok(Self::Nee),
+            _ => Err(Error::input(format!("estimator `{s}`: one of uniform, cosine, nee"))),
+        }
+    }
+}
+
+impl fmt::Display for Sampler {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Pcg => "pcg",
+            Self::Sobol => "sobol",
+        })
+    }
+}
+
+impl FromStr for Sampler {
+    type Err = Error;
+    fn from_str(s: &str) -> Result<Self> {
+        match s {
+            "pcg" => Ok(Self::Pcg),
+            "sobol" => Ok(Self::Sobol),
+            _ => Err(Error::input(format!("sampler `{s}`: one of pcg, sobol"))),
+        }
+    }
+}

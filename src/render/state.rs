@@ -1,0 +1,121 @@
+//! The buffers of one render, and how far it is.
+
+use super::features::Features;
+use crate::gpu::{Buffer, Gpu, Recorder, Slice};
+use crate::{Result, shaders};
+
+/// Rows come in multiples of this where buffers are cut into windows: 16 rows of 16-byte pixels are a multiple of 256 bytes.
+const WINDOW_ALIGNMENT: u32 = 16;
+const VEC4_BYTES: u64 = 16;
+
+/// What the path tracer adds up, a vec4 (or 3, for batches) a pixel, row by row from the top.
+pub(super) struct State {
+    pub width: u32,
+    pub height: u32,
+    pub total: Buffer,
+    pub block: Buffer,
+    pub counts: Buffer,
+    pub batch: Option<Buffer>,
+    /// First hits: albedo, world normal, screen values; sums where every sample has its own camera ray.
+    pub aov: [Buffer; 3],
+    /// What `resolve` writes; the first hits of the shared camera ray need no resolving.
+    pub radiance: Buffer,
+    pub resolved: Option<[Buffer; 3]>,
+    pub variance: Option<Buffer>,
+    /// Stands in for what this render does not have.
+    pub dummy: Buffer,
+    /// Rows of one window: no binding exceeds the device's storage range.
+    pub window_rows: u32,
+}
+
+impl State {
+    pub(super) fn new(gpu: &Gpu, width: u32, height: u32, features: &Features) -> Result<Self> {
+        let pixels = u64::from(width) * u64::from(height);
+        let plane = |name: &str| gpu.buffer(name, pixels * VEC4_BYTES);
+        let per_pixel = if features.variance { 3 * VEC4_BYTES } else { VEC4_BYTES };
+        let fit = (gpu.info().max_storage_range / (u64::from(width) * per_pixel)).min(u64::from(u32::MAX)) as u32;
+        let window_rows = (fit / WINDOW_ALIGNMENT * WINDOW_ALIGNMENT).max(WINDOW_ALIGNMENT);
+        Ok(Self {
+            width,
+            height,
+            total: plane("total")?,
+            block: plane("block")?,
+            counts: plane("counts")?,
+            batch: features.variance.then(|| gpu.buffer("batch", 3 * pixels * VEC4_BYTES)).transpose()?,
+            aov: [plane("first albedo")?, plane("first normal")?, plane("first screen")?],
+            radiance: plane("radiance")?,
+            resolved: if features.aa { Some([plane("albedo")?, plane("normal")?, plane("screen")?]) } else { None },
+            variance: features.variance.then(|| plane("variance")).transpose()?,
+            dummy: gpu.buffer("dummy", 256)?,
+            window_rows: window_rows.min(height),
+        })
+    }
+
+    /// The part of a buffer with `size` bytes a pixel that holds the window from row `first`.
+    fn window(&self, buffer: &Buffer, first: u32, size: u64) -> Slice {
+        let row = u64::from(self.width) * size;
+        let rows = self.window_rows.min(self.height - first);
+        buffer.slice(u64::from(first) * row, u64::from(rows) * row)
+    }
+
+    fn window_or_dummy(&self, buffer: Option<&Buffer>, first: u32, size: u64) -> Slice {
+        buffer.map_or_else(|| self.dummy.all(), |b| self.window(b, first, size))
+    }
+
+    pub(super) fn path_trace_bind(&self, scene: &Buffer, first: u32) -> shaders::path_trace::Bind {
+        let window = |buffer: &Buffer| self.window(buffer, first, VEC4_BYTES);
+        shaders::path_trace::Bind {
+            scene: scene.all(),
+            total: window(&self.total),
+            block: window(&self.block),
+            counts: window(&self.counts),
+            albedo: window(&self.aov[0]),
+            normal_world: window(&self.aov[1]),
+            screen: window(&self.aov[2]),
+            batch: self.window_or_dummy(self.batch.as_ref(), first, 3 * VEC4_BYTES),
+        }
+    }
+
+    pub(super) fn resolve_bind(&self, first: u32) -> shaders::resolve::Bind {
+        let window = |buffer: &Buffer| self.window(buffer, first, VEC4_BYTES);
+        let aa = self.resolved.is_some();
+        let sum = |i: usize| if aa { window(&self.aov[i]) } else { self.dummy.all() };
+        let mean = |i: usize| self.window_or_dummy(self.resolved.as_ref().map(|r| &r[i]), first, VEC4_BYTES);
+        shaders::resolve::Bind {
+            total: window(&self.total),
+            block: window(&self.block),
+            counts: window(&self.counts),
+            albedo_sum: sum(0),
+            normal_sum: sum(1),
+            screen_sum: sum(2),
+            batch: self.window_or_dummy(self.batch.as_ref(), first, 3 * VEC4_BYTES),
+            radiance: window(&self.radiance),
+            albedo: mean(0),
+            normal_world: mean(1),
+            screen: mean(2),
+            variance: self.window_or_dummy(self.variance.as_ref(), first, VEC4_BYTES),
+        }
+    }
+
+    /// Everything that samples are added to; in this order in a checkpoint.
+    pub(super) fn sums(&self) -> Vec<&Buffer> {
+        let mut list = vec![&self.total, &self.block, &self.counts];
+        list.extend(self.batch.as_ref());
+        if self.resolved.is_some() {
+            list.extend(self.aov.iter());
+        }
+        list
+    }
+
+    pub(super) fn record_clear(&self, rec: &mut Recorder) {
+        self.sums().into_iter().for_each(|buffer| rec.fill_zero(&buffer.all()));
+    }
+}
+
+/// How far a render is: rows above `row` hold samples [0, end), the others [0, begin).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Cursor {
+    pub begin: u32,
+    pub end: u32,
+    pub row: u32,
+}

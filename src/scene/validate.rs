@@ -1,0 +1,127 @@
+//! What a scene must fulfil before anything is rendered.
+
+use super::{Camera, Geometry, Scene, Shape};
+use crate::{Error, Result};
+use glam::{DMat3, DVec3};
+
+/// The largest image width or height in pixels.
+pub const MAX_SIDE: u32 = 16_384;
+/// The largest number of pixels of an image.
+pub const MAX_PIXELS: u64 = 1 << 28;
+/// The largest coordinate or length, scene units: its square stays finite in f32.
+pub const MAX_LENGTH: f64 = 1e15;
+/// The smallest radius or half edge, scene units: its square stays a normal number in f32.
+pub const MIN_LENGTH: f64 = 1e-15;
+/// The largest radiance: sums over millions of samples stay finite in f32.
+pub const MAX_RADIANCE: f64 = 1e30;
+/// How far a rectangle's corner may be from 90 degrees (cosine), and a camera's axes from orthonormal.
+pub const SHEAR_TOLERANCE: f64 = 1e-6;
+
+/// Checks an image size: both sides 1 to [`MAX_SIDE`], at most [`MAX_PIXELS`] in all.
+pub fn check_size(width: u32, height: u32) -> Result<()> {
+    let allowed = format!("1 to {MAX_SIDE} a side and at most {MAX_PIXELS} pixels in all");
+    if width == 0 || height == 0 {
+        return Err(Error::input(format!("image size {width}x{height}: no pixels; allowed: {allowed}")));
+    }
+    if width > MAX_SIDE || height > MAX_SIDE || u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return Err(Error::input(format!("image size {width}x{height} is too large; allowed: {allowed}")));
+    }
+    Ok(())
+}
+
+impl Scene {
+    /// Refuses what cannot be rendered: sizes out of range, non-finite or huge numbers, a camera that is not rigid,
+    /// spheres without a radius, degenerate or sheared rectangles, albedo outside [0, 1], negative radiance. A scene
+    /// without shapes is fine (and black).
+    pub fn validate(&self) -> Result<()> {
+        self.camera.validate()?;
+        self.shapes.iter().enumerate().try_for_each(|(i, shape)| {
+            shape.validate().map_err(|error| Error::input(format!("shape {} '{}': {error}", i + 1, shape.name)))
+        })
+    }
+}
+
+impl Camera {
+    /// Refuses a camera that cannot make an image; see [`Scene::validate`].
+    pub fn validate(&self) -> Result<()> {
+        check_size(self.width, self.height)?;
+        if !(self.fov_x_degrees > 0.0 && self.fov_x_degrees < 180.0) {
+            return Err(Error::input(format!(
+                "camera: field of view {} degrees; it must lie between 0 and 180, both excluded",
+                self.fov_x_degrees
+            )));
+        }
+        let m = &self.to_world;
+        check_point("camera: position", m.w_axis.truncate())?;
+        let axes = DMat3::from_mat4(*m);
+        let gram = axes.transpose() * axes;
+        let rigid = gram.abs_diff_eq(DMat3::IDENTITY, SHEAR_TOLERANCE) && axes.determinant() > 0.0;
+        if !rigid || m.row(3).to_array() != [0.0, 0.0, 0.0, 1.0] {
+            return Err(Error::input(
+                "camera: to_world must be rotation and translation only (no scale, shear or mirror)",
+            ));
+        }
+        Ok(())
+    }
+}
+
+impl Shape {
+    /// Refuses a shape that cannot be rendered; see [`Scene::validate`].
+    pub fn validate(&self) -> Result<()> {
+        match self.geometry {
+            Geometry::Sphere { center, radius, .. } => {
+                check_point("center", center)?;
+                if !(MIN_LENGTH..=MAX_LENGTH).contains(&radius) {
+                    return Err(Error::input(format!(
+                        "radius {radius}; it must be positive, {MIN_LENGTH:e} to {MAX_LENGTH:e}"
+                    )));
+                }
+            }
+            Geometry::Rectangle { center, half_u, half_v } => check_rectangle(center, half_u, half_v)?,
+        }
+        check_albedo(self.albedo)?;
+        check_radiance(self.radiance)
+    }
+}
+
+fn check_rectangle(center: DVec3, half_u: DVec3, half_v: DVec3) -> Result<()> {
+    check_point("center", center)?;
+    for half in [half_u, half_v] {
+        check_point("edge", half)?;
+        if half.length() < MIN_LENGTH {
+            return Err(Error::input(format!("degenerate rectangle: an edge is {half}; it must be longer than 0")));
+        }
+    }
+    let cosine = half_u.normalize().dot(half_v.normalize());
+    if cosine.abs() > SHEAR_TOLERANCE {
+        return Err(Error::input(format!(
+            "sheared rectangle: the cosine between its edges is {cosine:e}; they must be perpendicular"
+        )));
+    }
+    Ok(())
+}
+
+/// Refuses reflectance outside [0, 1]: more would make energy.
+pub(super) fn check_albedo(albedo: DVec3) -> Result<()> {
+    let albedo = albedo.to_array();
+    if albedo.iter().all(|a| (0.0..=1.0).contains(a)) {
+        return Ok(());
+    }
+    Err(Error::input(format!("reflectance {albedo:?}; each part must lie in [0, 1]")))
+}
+
+/// Refuses negative, non-finite or absurd radiance.
+pub(super) fn check_radiance(radiance: DVec3) -> Result<()> {
+    let radiance = radiance.to_array();
+    if radiance.iter().all(|r| (0.0..=MAX_RADIANCE).contains(r)) {
+        return Ok(());
+    }
+    Err(Error::input(format!("radiance {radiance:?}; each part must lie in [0, {MAX_RADIANCE:e}]")))
+}
+
+fn check_point(what: &str, p: DVec3) -> Result<()> {
+    if p.to_array().iter().all(|c| c.abs() <= MAX_LENGTH) {
+        return Ok(());
+    }
+    Err(Error::input(format!("{what} {:?}; each part must be finite and at most {MAX_LENGTH:e}", p.to_array())))
+}
