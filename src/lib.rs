@@ -4,6 +4,7 @@
 
 pub mod error;
 pub mod image;
+pub mod metrics;
 pub mod scene;
 
 pub use error::{Error, Result};
