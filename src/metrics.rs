@@ -3,9 +3,10 @@
 //! MAE01 and relMSE are over linear values; PSNR, SSIM and FLIP over display values, [`srgb_encode`] of the values
 //! clamped to [0, 1]. FLIP sees them in 8 bits, as its implementation (NVIDIA's, by the crate `nv-flip`) takes them.
 
-use crate::image::png::{srgb_encode, to_srgb8};
+use crate::image::png::srgb_encode;
 use crate::image::{Image, Rgb};
 use crate::{Error, Result};
+use rayon::prelude::*;
 
 /// The definitions, for `--help`.
 pub const FORMULAS: &str = "\
@@ -135,20 +136,15 @@ struct Maps {
 
 impl Maps {
     fn new(a: Rgb, r: Rgb, width: u32, height: u32) -> Self {
-        let per_pixel = |term: fn(f32, f32) -> f64| -> Vec<f64> {
-            (0..a[0].len()).map(|i| (0..3).map(|c| term(a[c][i], r[c][i])).sum::<f64>() / 3.0).collect()
-        };
-        let [a_luma, r_luma] = [a, r].map(luma);
-        let [a_flip, r_flip] = [a, r].map(|v| nv_flip::FlipImageRgb8::with_data(width, height, &to_srgb8(v, 0.0)));
+        let [a_display, r_display] = [a, r].map(display);
+        let [a_flip, r_flip] = [&a_display, &r_display].map(|rgb| flip_image(rgb, width, height));
+        let flip = nv_flip::flip(r_flip, a_flip, FLIP_PIXELS_PER_DEGREE).to_vec();
         Self {
-            absolute: per_pixel(|a, r| (f64::from(a.clamp(0.0, 1.0)) - f64::from(r.clamp(0.0, 1.0))).abs()),
-            relative: per_pixel(|a, r| {
-                let (a, r) = (f64::from(a), f64::from(r));
-                (a - r) * (a - r) / (r * r + RELMSE_EPSILON)
-            }),
-            display: per_pixel(|a, r| (f64::from(srgb_encode(a)) - f64::from(srgb_encode(r))).powi(2)),
-            ssim: ssim(&a_luma, &r_luma, width as usize),
-            flip: nv_flip::flip(r_flip, a_flip, FLIP_PIXELS_PER_DEGREE).to_vec(),
+            absolute: per_pixel(a, r, |a, r| (a.clamp(0.0, 1.0) - r.clamp(0.0, 1.0)).abs()),
+            relative: per_pixel(a, r, |a, r| (a - r) * (a - r) / (r * r + RELMSE_EPSILON)),
+            display: per_pixel(planes(&a_display), planes(&r_display), |a, r| (a - r) * (a - r)),
+            ssim: ssim(&luma(&a_display), &luma(&r_display), width as usize),
+            flip,
         }
     }
 
@@ -167,9 +163,29 @@ impl Maps {
     }
 }
 
-fn luma([r, g, b]: Rgb) -> Vec<f64> {
-    let display = |v: f32| f64::from(srgb_encode(v));
-    (0..r.len()).map(|i| LUMA[0] * display(r[i]) + LUMA[1] * display(g[i]) + LUMA[2] * display(b[i])).collect()
+/// The mean of a term over the three channels, per pixel.
+fn per_pixel(a: Rgb, r: Rgb, term: fn(f64, f64) -> f64) -> Vec<f64> {
+    let channels = |i: usize| (0..3).map(move |c| term(f64::from(a[c][i]), f64::from(r[c][i])));
+    (0..a[0].len()).into_par_iter().map(|i| channels(i).sum::<f64>() / 3.0).collect()
+}
+
+/// Display values of linear ones.
+fn display(rgb: Rgb) -> [Vec<f32>; 3] {
+    rgb.map(|plane| plane.par_iter().map(|&v| srgb_encode(v)).collect())
+}
+
+fn planes(display: &[Vec<f32>; 3]) -> Rgb<'_> {
+    display.each_ref().map(Vec::as_slice)
+}
+
+fn flip_image([r, g, b]: &[Vec<f32>; 3], width: u32, height: u32) -> nv_flip::FlipImageRgb8 {
+    let bytes = (0..r.len()).flat_map(|i| [r[i], g[i], b[i]].map(|v| (v * 255.0 + 0.5) as u8));
+    nv_flip::FlipImageRgb8::with_data(width, height, &bytes.collect::<Vec<u8>>())
+}
+
+fn luma(display: &[Vec<f32>; 3]) -> Vec<f64> {
+    let luma = |i: usize| (0..3).map(|c| LUMA[c] * f64::from(display[c][i])).sum();
+    (0..display[0].len()).map(luma).collect()
 }
 
 /// The map of the structural similarity.
@@ -190,8 +206,8 @@ fn blur(plane: &[f64], width: usize) -> Vec<f64> {
     let height = plane.len() / width;
     let rows = |at: usize| (at / width * width, at % width, width, 1);
     let columns = |at: usize| (at % width, at / width, height, width);
-    let across: Vec<f64> = (0..plane.len()).map(|i| window(plane, rows(i))).collect();
-    (0..plane.len()).map(|i| window(&across, columns(i))).collect()
+    let across: Vec<f64> = (0..plane.len()).into_par_iter().map(|i| window(plane, rows(i))).collect();
+    (0..plane.len()).into_par_iter().map(|i| window(&across, columns(i))).collect()
 }
 
 /// The Gaussian mean about element `at` of the line of `length` elements that begins at `start` with this `stride`.
