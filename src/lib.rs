@@ -3,8 +3,11 @@
 #![warn(missing_docs)]
 
 pub mod error;
+pub mod gpu;
 pub mod image;
 pub mod metrics;
+pub mod net;
 pub mod scene;
+pub mod shaders;
 
 pub use error::{Error, Result};

@@ -1,0 +1,91 @@
+#version 460
+// 3x3 convolution, stride 1, zero padding 1, bias and leaky ReLU (slope 1: linear), for CPU drivers.
+// Tensors are NHWC in texels of 4 channels. Lanes are output channels; a subgroup makes a tile of 6x4 pixels of L channels:
+// the 8x6 patch of inputs lies across the lanes (one pixel a lane and register) and is broadcast by shuffles with constant
+// lanes. No branch around a load: llvmpipe compiles texel loads outside control flow to plain vector code.
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+
+layout(constant_id = 0) const uint L = 8;             // subgroup size, 8 or 16
+const uint LOCAL = 64;
+layout(constant_id = 1) const float SLOPE = 1.0;
+layout(local_size_x = 64) in;
+
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;       // [n][h][w][cin4]
+layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer weight;  // [cout/L][cin4][9][L] of 4 input channels
+layout(set = 0, binding = 2, r32f) readonly uniform imageBuffer bias;       // [cout]
+layout(set = 0, binding = 3, std430) writeonly buffer Y { float y[]; };     // rows of [n][h][w][cout], a window
+
+layout(push_constant) uniform Push {
+    uint height;
+    uint width;
+    uint cin4;
+    uint cout;             // padded to 4
+    uint tiles_x;
+    uint tiles_y;          // of one image
+    uint tile_row_begin;   // first of this dispatch, over all images
+    uint tile_count;       // of this dispatch
+    uint window_row;       // first row of the output window, over all images
+};
+
+const int TW = 6;
+const int TH = 4;
+const int PW = TW + 2;
+const int PATCH = PW * (TH + 2);
+const int LOADS = PATCH / int(L);
+
+void main() {
+    const uint lane = gl_LocalInvocationID.x % L;
+    const uint index = gl_WorkGroupID.x * (LOCAL / L) + gl_LocalInvocationID.x / L;
+    const uint tile = min(index, tile_count - 1);
+    const uint co_block = gl_WorkGroupID.y;
+    const uint tile_row = tile_row_begin + tile / tiles_x;
+    const int x0 = int(tile % tiles_x) * TW;
+    const int y0 = int(tile_row % tiles_y) * TH;
+    const uint image_row = (tile_row / tiles_y) * height;
+
+    int base[LOADS];
+    bool inside[LOADS];
+    [[unroll]] for (int k = 0; k < LOADS; ++k) {
+        const int p = k * int(L) + int(lane);
+        const int px = x0 - 1 + p % PW;
+        const int py = y0 - 1 + p / PW;
+        inside[k] = px >= 0 && py >= 0 && px < int(width) && py < int(height);
+        base[k] = inside[k] ? int(((image_row + uint(py)) * width + uint(px)) * cin4) : 0;
+    }
+
+    const uint co = co_block * L + lane;
+    const float b = imageLoad(bias, int(co)).x;
+    float acc[TW * TH];
+    [[unroll]] for (int i = 0; i < TW * TH; ++i) acc[i] = b;
+
+    int w_at = int(co_block * cin4 * 9 * L + lane);
+    for (int c = 0; c < int(cin4); ++c) {
+        vec4 r[LOADS];
+        [[unroll]] for (int k = 0; k < LOADS; ++k) {
+            r[k] = mix(vec4(0.0), imageLoad(x, base[k] + c), bvec4(inside[k]));
+        }
+        [[unroll]] for (int t = 0; t < 9; ++t) {
+            const vec4 w = imageLoad(weight, w_at + t * int(L));
+            [[unroll]] for (int i = 0; i < TW * TH; ++i) {
+                const int q = (i / TW + t / 3) * PW + i % TW + t % 3;
+                const vec4 v = subgroupShuffle(r[q / int(L)], uint(q % int(L)));
+                acc[i] += w.x * v.x;
+                acc[i] += w.y * v.y;
+                acc[i] += w.z * v.z;
+                acc[i] += w.w * v.w;
+            }
+        }
+        w_at += 9 * int(L);
+    }
+
+    const bool alive = index < tile_count && co < cout;
+    [[unroll]] for (int i = 0; i < TW * TH; ++i) {
+        const uint px = uint(x0 + i % TW);
+        const uint py = uint(y0 + i / TW);
+        const float v = acc[i] > 0.0 ? acc[i] : acc[i] * SLOPE;
+        if (alive && px < width && py < height) {
+            y[((image_row + py - window_row) * width + px) * cout + co] = v;
+        }
+    }
+}

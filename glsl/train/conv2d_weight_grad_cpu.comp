@@ -1,0 +1,97 @@
+#version 460
+// Weight gradient of a 3x3 convolution, for CPU drivers: dw[co][ci][t] = sum over pixels of dy[co] * x[ci] at tap t.
+// Lanes are output channels; a subgroup holds 4 input channels x 9 taps and walks down strips of 12 pixels. x comes 16
+// pixels a row across the lanes and is broadcast by constant shuffles; dy comes transposed, 4 pixels a texel.
+// Each split sums its own strips; the partial sums are added in a fixed order afterwards.
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+
+layout(constant_id = 0) const uint L = 8;     // subgroup size, 8 or 16
+const uint LOCAL = 64;
+layout(local_size_x = 64) in;
+
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;    // [n][h][w][cin4]
+layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer dyt;  // [n][cout][h][ceil(w/4)] of 4 pixels
+layout(set = 0, binding = 2, std430) writeonly buffer Partial { vec4 partial_sum[]; };  // [split][cout/L][cin4][9][L]
+
+layout(push_constant) uniform Push {
+    uint batch;
+    uint height;
+    uint width;
+    uint cin4;
+    uint cout;       // padded to 4
+    uint co_blocks;
+    uint splits;
+};
+
+const int OUT = 12;
+const int ROW = 16;
+const int LOADS = ROW / int(L);
+
+void main() {
+    const uint lane = gl_LocalInvocationID.x % L;
+    const uint index = gl_WorkGroupID.x * (LOCAL / L) + gl_LocalInvocationID.x / L;
+    const uint total = cin4 * splits;
+    const uint clamped = min(index, total - 1);
+    const uint c4 = clamped % cin4;
+    const uint split = clamped / cin4;
+    const uint co_block = gl_WorkGroupID.y;
+    const uint co = co_block * L + lane;
+    const bool co_alive = co < cout;
+    const uint w4 = (width + 3) / 4;
+    const uint strips_x = (width + OUT - 1) / OUT;
+    const uint strips = strips_x * batch;
+
+    float acc[36];
+    [[unroll]] for (int i = 0; i < 36; ++i) acc[i] = 0.0;
+
+    for (uint strip = split; strip < strips; strip += splits) {
+        const uint n = strip / strips_x;
+        const int x0 = int(strip % strips_x) * OUT;
+        int base[LOADS];
+        bool inside[LOADS];
+        vec4 r[3][LOADS];
+        [[unroll]] for (int k = 0; k < LOADS; ++k) {
+            const int px = x0 - 1 + k * int(L) + int(lane);
+            inside[k] = px >= 0 && px < int(width);
+            base[k] = inside[k] ? int(((n * height) * width + uint(px)) * cin4 + c4) : 0;
+            r[0][k] = vec4(0.0);
+            r[1][k] = mix(vec4(0.0), imageLoad(x, base[k]), bvec4(inside[k]));
+        }
+        int dy_at = int(((n * cout + (co_alive ? co : 0)) * height) * w4) + x0 / 4;
+        for (uint row = 0; row < height; ++row) {
+            const bool below = row + 1 < height;
+            [[unroll]] for (int k = 0; k < LOADS; ++k) {
+                const bool ok = inside[k] && below;
+                const int at = ok ? base[k] + int((row + 1) * width * cin4) : 0;
+                r[2][k] = mix(vec4(0.0), imageLoad(x, at), bvec4(ok));
+            }
+            [[unroll]] for (int j = 0; j < OUT / 4; ++j) {
+                const bool ok = co_alive && uint(x0 / 4 + j) < w4;
+                const vec4 d = mix(vec4(0.0), imageLoad(dyt, ok ? dy_at + j : 0), bvec4(ok));
+                [[unroll]] for (int p = 0; p < 4; ++p) {
+                    [[unroll]] for (int t = 0; t < 9; ++t) {
+                        const int q = j * 4 + p + t % 3;
+                        const vec4 v = subgroupShuffle(r[t / 3][q / int(L)], uint(q % int(L)));
+                        acc[t * 4 + 0] += d[p] * v.x;
+                        acc[t * 4 + 1] += d[p] * v.y;
+                        acc[t * 4 + 2] += d[p] * v.z;
+                        acc[t * 4 + 3] += d[p] * v.w;
+                    }
+                }
+            }
+            [[unroll]] for (int k = 0; k < LOADS; ++k) {
+                r[0][k] = r[1][k];
+                r[1][k] = r[2][k];
+            }
+            dy_at += int(w4);
+        }
+    }
+
+    if (index < total) {
+        const uint at = ((split * co_blocks + co_block) * cin4 + c4) * 9 * L + lane;
+        [[unroll]] for (int t = 0; t < 9; ++t) {
+            partial_sum[at + t * L] = vec4(acc[t * 4], acc[t * 4 + 1], acc[t * 4 + 2], acc[t * 4 + 3]);
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! The device, its queue and its memory.
+
+use super::instance::{Instance, no_device};
+use crate::{Error, Result};
+use ash::vk;
+use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
+use std::collections::HashMap;
+use std::mem::ManuallyDrop;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Which device to use, and how.
+#[derive(Clone, Debug, Default)]
+pub struct DeviceOptions {
+    /// Index in [`list_devices`] or a part of the name; by default the most capable device.
+    pub select: Option<String>,
+    /// Turn on the Khronos validation layer; its messages are kept for [`Gpu::drain_validation`].
+    pub validation: bool,
+}
+
+/// What a device is and can do.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct DeviceInfo {
+    /// Position in the list of devices.
+    pub index: usize,
+    /// Device name.
+    pub name: String,
+    /// Driver name and version text.
+    pub driver: String,
+    /// Vulkan version, e.g. `1.3.230`.
+    pub api_version: String,
+    /// `discrete`, `integrated`, `virtual`, `cpu` or `other`.
+    pub kind: &'static str,
+    /// Whether the driver runs on the CPU.
+    pub is_cpu: bool,
+    /// Invocations in a subgroup.
+    pub subgroup_size: u32,
+    /// Whether compute shaders may shuffle within a subgroup.
+    pub subgroup_shuffle: bool,
+    /// Largest storage-buffer binding, bytes.
+    pub max_storage_range: u64,
+    /// Largest texel-buffer view, texels.
+    pub max_texel_elements: u64,
+    /// Largest single allocation, bytes.
+    pub max_allocation: u64,
+    /// Largest number of workgroups in x.
+    pub max_groups: u32,
+    /// Largest number of invocations in a workgroup.
+    pub max_invocations: u32,
+    /// Nanoseconds a timestamp tick.
+    pub timestamp_period_ns: f32,
+    /// Why limpid cannot use the device; empty where it can.
+    pub unusable: String,
+}
+
+pub(super) struct Shared {
+    pub(super) info: DeviceInfo,
+    pub(super) raw: ash::Device,
+    pub(super) queue: Mutex<vk::Queue>,
+    pub(super) queue_family: u32,
+    allocator: ManuallyDrop<Mutex<Allocator>>,
+    /// Pipelines by shader name and specialization words, so that equal kernels are made once.
+    pub(super) kernels: Mutex<HashMap<super::kernel::KernelKey, Arc<super::kernel::Pipeline>>>,
+    pub(super) bytes: AtomicU64,
+    pub(super) peak_bytes: AtomicU64,
+    pub(super) pipeline_ns: AtomicU64,
+    pub(super) staging: Mutex<Option<super::buffer::Staging>>,
+    // Dropped last: the instance outlives the device.
+    instance: Instance,
+}
+
+/// A Vulkan device; clones share it.
+#[derive(Clone)]
+pub struct Gpu(pub(super) Arc<Shared>);
+
+/// Turns a Vulkan result into words.
+pub(super) fn vk_error(result: vk::Result) -> Error {
+    match result {
+        vk::Result::ERROR_DEVICE_LOST => {
+            Error::DeviceLost("a dispatch took longer than the system allows, or the driver failed".into())
+        }
+        vk::Result::ERROR_OUT_OF_DEVICE_MEMORY | vk::Result::ERROR_OUT_OF_HOST_MEMORY => {
+            Error::OutOfMemory(format!("{result:?}; use a smaller image or batch"))
+        }
+        other => Error::Gpu(format!("Vulkan: {other:?}")),
+    }
+}
+
+/// Locks, ignoring the poison of another thread's panic: the data are caches and counters.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn compute_family(instance: &ash::Instance, device: vk::PhysicalDevice) -> Option<u32> {
+    // SAFETY: `device` came from this instance.
+    let families = unsafe { instance.get_physical_device_queue_family_properties(device) };
+    let fits = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE) && f.timestamp_valid_bits > 0;
+    families.iter().position(fits).map(|i| i as u32)
+}
+
+fn describe(instance: &ash::Instance, device: vk::PhysicalDevice, index: usize) -> DeviceInfo {
+    let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
+    let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
+    let mut all = vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12);
+    // SAFETY: `device` came from this instance; the chain lives until the call returns.
+    unsafe { instance.get_physical_device_properties2(device, &mut all) };
+    let p = all.properties;
+    let text = |s: Option<&std::ffi::CStr>| s.map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let kind = match p.device_type {
+        vk::PhysicalDeviceType::DISCRETE_GPU => "discrete",
+        vk::PhysicalDeviceType::INTEGRATED_GPU => "integrated",
+        vk::PhysicalDeviceType::VIRTUAL_GPU => "virtual",
+        vk::PhysicalDeviceType::CPU => "cpu",
+        _ => "other",
+    };
+    let (major, minor) = (vk::api_version_major(p.api_version), vk::api_version_minor(p.api_version));
+    let mut unusable = String::new();
+    if (major, minor) < (1, 3) {
+        unusable = format!("it has Vulkan {major}.{minor}, limpid needs 1.3");
+    } else if compute_family(instance, device).is_none() {
+        unusable = "it has no compute queue with timestamps".into();
+    }
+    let driver = format!(
+        "{} {}",
+        text(v12.driver_name_as_c_str().ok()),
+        text(v12.driver_info_as_c_str().ok())
+    );
+    DeviceInfo {
+        index,
+        name: text(p.device_name_as_c_str().ok()),
+        driver,
+        api_version: format!("{major}.{minor}.{}", vk::api_version_patch(p.api_version)),
+        kind,
+        is_cpu: kind == "cpu",
+        subgroup_size: v11.subgroup_size,
+        subgroup_shuffle: v11.subgroup_supported_operations.contains(vk::SubgroupFeatureFlags::SHUFFLE)
+            && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        max_storage_range: u64::from(p.limits.max_storage_buffer_range),
+        max_texel_elements: u64::from(p.limits.max_texel_buffer_elements),
+        max_allocation: v11.max_memory_allocation_size,
+        max_groups: p.limits.max_compute_work_group_count[0],
+        max_invocations: p.limits.max_compute_work_group_invocations,
+        timestamp_period_ns: p.limits.timestamp_period,
+        unusable,
+    }
+}
+
+fn enumerate(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
+    // SAFETY: plain query on a live instance.
+    let devices = unsafe { instance.raw.enumerate_physical_devices() }.map_err(vk_error)?;
+    Ok(devices.into_iter().enumerate().map(|(i, d)| (d, describe(&instance.raw, d, i))).collect())
+}
+
+/// All Vulkan devices, usable or not.
+pub fn list_devices() -> Result<Vec<DeviceInfo>> {
+    super::environment::prepare();
+    Ok(enumerate(&Instance::new(false)?)?.into_iter().map(|(_, info)| info).collect())
+}
+
+fn pick(devices: Vec<(vk::PhysicalDevice, DeviceInfo)>, select: Option<&str>) -> Result<(vk::PhysicalDevice, DeviceInfo)> {
+    let names: Vec<_> = devices.iter().map(|(_, d)| format!("{}: {}", d.index, d.name)).collect();
+    let rank = |d: &DeviceInfo| match d.kind {
+        "discrete" => 0,
+        "integrated" => 1,
+        "virtual" => 2,
+        "cpu" => 3,
+        _ => 4,
+    };
+    let chosen = match select {
+        None => devices.into_iter().filter(|(_, d)| d.unusable.is_empty()).min_by_key(|(_, d)| rank(d)),
+        Some(wanted) => {
+            let by_index = wanted.parse::<usize>().ok();
+            let matches = |d: &DeviceInfo| {
+                by_index.map_or_else(|| d.name.to_lowercase().contains(&wanted.to_lowercase()), |i| i == d.index)
+            };
+            let found = devices.into_iter().find(|(_, d)| matches(d)).ok_or_else(|| {
+                Error::input(format!("no Vulkan device matches `{wanted}`; there is: {}", names.join(", ")))
+            })?;
+            if !found.1.unusable.is_empty() {
+                return Err(Error::input(format!("device {} cannot be used: {}", found.1.name, found.1.unusable)));
+            }
+            Some(found)
+        }
+    };
+    chosen.ok_or_else(no_device)
+}
+
+fn create_device(instance: &ash::Instance, physical: vk::PhysicalDevice, family: u32) -> Result<ash::Device> {
+    let priorities = [1.0];
+    let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&priorities)];
+    // All of these are mandatory in Vulkan 1.3.
+    let mut v12 = vk::PhysicalDeviceVulkan12Features::default().host_query_reset(true).vulkan_memory_model(true);
+    let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
+        .synchronization2(true)
+        .maintenance4(true)
+        .subgroup_size_control(true)
+        .compute_full_subgroups(true);
+    let info = vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut v12).push_next(&mut v13);
+    // SAFETY: `physical` came from this instance; `info` lives until the call returns.
+    unsafe { instance.create_device(physical, &info, None) }.map_err(vk_error)
+}
+
+impl Gpu {
+    /// Opens a device.
+    pub fn new(options: &DeviceOptions) -> Result<Self> {
+        super::environment::prepare();
+        let instance = Instance::new(options.validation)?;
+        let (physical, info) = pick(enumerate(&instance)?, options.select.as_deref())?;
+        let queue_family = compute_family(&instance.raw, physical).ok_or_else(no_device)?;
+        let raw = create_device(&instance.raw, physical, queue_family)?;
+        let allocator = Allocator::new(&AllocatorCreateDesc {
+            instance: instance.raw.clone(),
+            device: raw.clone(),
+            physical_device: physical,
+            debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
+            buffer_device_address: false,
+            allocation_sizes: gpu_allocator::AllocationSizes::default(),
+        })
+        .map_err(|e| Error::Gpu(format!("memory allocator: {e}")))?;
+        // SAFETY: the family was requested with one queue.
+        let queue = unsafe { raw.get_device_queue(queue_family, 0) };
+        log::info!("device {} ({})", info.name, info.driver);
+        Ok(Self(Arc::new(Shared {
+            info,
+            raw,
+            queue: Mutex::new(queue),
+            queue_family,
+            allocator: ManuallyDrop::new(Mutex::new(allocator)),
+            kernels: Mutex::default(),
+            bytes: AtomicU64::new(0),
+            peak_bytes: AtomicU64::new(0),
+            pipeline_ns: AtomicU64::new(0),
+            staging: Mutex::new(None),
+            instance,
+        })))
+    }
+
+    /// What the device is and can do.
+    #[must_use]
+    pub fn info(&self) -> &DeviceInfo {
+        &self.0.info
+    }
+
+    /// The validation messages caused by the calling thread since it last asked.
+    #[must_use]
+    pub fn drain_validation(&self) -> Vec<String> {
+        self.0.instance.messages.drain()
+    }
+
+    /// Largest sum of buffer sizes so far, bytes.
+    #[must_use]
+    pub fn peak_bytes(&self) -> u64 {
+        self.0.peak_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Time spent creating pipelines so far, milliseconds.
+    #[must_use]
+    pub fn pipeline_ms(&self) -> f64 {
+        self.0.pipeline_ns.load(Ordering::Relaxed) as f64 * 1e-6
+    }
+}
+
+impl Shared {
+    pub(super) fn allocator(&self) -> MutexGuard<'_, Allocator> {
+        lock(&self.allocator)
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        // SAFETY: every buffer, kernel and command list holds this `Shared`, so all are gone but the caches below, which go
+        // first; then the allocator's memory, then the device.
+        unsafe {
+            let _ = self.raw.device_wait_idle();
+            if let Some(staging) = lock(&self.staging).take() {
+                staging.destroy(self);
+            }
+            for (_, pipeline) in lock(&self.kernels).drain() {
+                pipeline.destroy(&self.raw);
+            }
+            ManuallyDrop::drop(&mut self.allocator);
+            self.raw.destroy_device(None);
+        }
+    }
+}

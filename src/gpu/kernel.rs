@@ -1,0 +1,132 @@
+//! Compute pipelines.
+
+use super::device::{Gpu, lock, vk_error};
+use super::{BindingKind, Shader, Specialization};
+use crate::Result;
+use ash::vk;
+use std::marker::PhantomData;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+pub(super) type KernelKey = (&'static str, Vec<u32>, Option<u32>);
+
+/// A pipeline with its layouts.
+pub(super) struct Pipeline {
+    pub(super) raw: vk::Pipeline,
+    pub(super) layout: vk::PipelineLayout,
+    pub(super) set_layout: vk::DescriptorSetLayout,
+    module: vk::ShaderModule,
+}
+
+impl Pipeline {
+    pub(super) fn destroy(&self, device: &ash::Device) {
+        // SAFETY: called when the device goes; nothing is in flight.
+        unsafe {
+            device.destroy_pipeline(self.raw, None);
+            device.destroy_pipeline_layout(self.layout, None);
+            device.destroy_descriptor_set_layout(self.set_layout, None);
+            device.destroy_shader_module(self.module, None);
+        }
+    }
+}
+
+/// A shader made ready with its specialization constants; clones share it.
+pub struct Kernel<S> {
+    pub(super) pipeline: Arc<Pipeline>,
+    shader: PhantomData<fn() -> S>,
+}
+
+impl<S> Clone for Kernel<S> {
+    fn clone(&self) -> Self {
+        Self { pipeline: self.pipeline.clone(), shader: PhantomData }
+    }
+}
+
+fn push_bytes<S: Shader>() -> u32 {
+    S::PUSH.iter().map(|m| m.offset as u32 + 4).max().unwrap_or(0)
+}
+
+fn set_layout<S: Shader>(device: &ash::Device) -> Result<vk::DescriptorSetLayout> {
+    let bindings: Vec<_> = S::BINDINGS
+        .iter()
+        .map(|b| {
+            let kind = match b.kind {
+                BindingKind::StorageBuffer => vk::DescriptorType::STORAGE_BUFFER,
+                BindingKind::TexelBuffer(_) => vk::DescriptorType::STORAGE_TEXEL_BUFFER,
+            };
+            vk::DescriptorSetLayoutBinding::default()
+                .binding(b.binding)
+                .descriptor_type(kind)
+                .descriptor_count(1)
+                .stage_flags(vk::ShaderStageFlags::COMPUTE)
+        })
+        .collect();
+    let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
+    // SAFETY: `info` lives until the call returns.
+    unsafe { device.create_descriptor_set_layout(&info, None) }.map_err(vk_error)
+}
+
+fn create<S: Shader>(device: &ash::Device, words: &[u32], subgroup: Option<u32>) -> Result<Pipeline> {
+    let code: Vec<u32> = bytemuck::pod_collect_to_vec(S::SPIRV);
+    // SAFETY: `code` is a module that shaderc wrote; every `info` lives until its call returns.
+    unsafe {
+        let module =
+            device.create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&code), None).map_err(vk_error)?;
+        let set_layout = set_layout::<S>(device)?;
+        let range = vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::COMPUTE).size(push_bytes::<S>());
+        let (sets, ranges) = ([set_layout], [range]);
+        let mut info = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
+        if range.size > 0 {
+            info = info.push_constant_ranges(&ranges);
+        }
+        let layout = device.create_pipeline_layout(&info, None).map_err(vk_error)?;
+        let entries: Vec<_> = (0u32..)
+            .zip(S::SPEC_IDS)
+            .map(|(i, id)| vk::SpecializationMapEntry { constant_id: *id, offset: i * 4, size: 4 })
+            .collect();
+        let special =
+            vk::SpecializationInfo::default().map_entries(&entries).data(bytemuck::cast_slice(words));
+        let mut required = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default();
+        let mut stage = vk::PipelineShaderStageCreateInfo::default()
+            .stage(vk::ShaderStageFlags::COMPUTE)
+            .module(module)
+            .name(c"main")
+            .specialization_info(&special);
+        if let Some(size) = subgroup {
+            required = required.required_subgroup_size(size);
+            stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS).push_next(&mut required);
+        }
+        let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout);
+        let raw = device
+            .create_compute_pipelines(vk::PipelineCache::null(), &[info], None)
+            .map_err(|(_, e)| vk_error(e))?[0];
+        Ok(Pipeline { raw, layout, set_layout, module })
+    }
+}
+
+impl Gpu {
+    /// The kernel of a shader with these specialization constants; equal ones are made once.
+    pub fn kernel<S: Shader>(&self, spec: &S::Spec) -> Result<Kernel<S>> {
+        self.kernel_of::<S>(spec, None)
+    }
+
+    /// The same, with full subgroups of exactly `size` invocations.
+    pub fn kernel_with_subgroup<S: Shader>(&self, spec: &S::Spec, size: u32) -> Result<Kernel<S>> {
+        self.kernel_of::<S>(spec, Some(size))
+    }
+
+    fn kernel_of<S: Shader>(&self, spec: &S::Spec, subgroup: Option<u32>) -> Result<Kernel<S>> {
+        let words = spec.words();
+        let mut kernels = lock(&self.0.kernels);
+        let key = (S::NAME, words.clone(), subgroup);
+        if let Some(pipeline) = kernels.get(&key) {
+            return Ok(Kernel { pipeline: pipeline.clone(), shader: PhantomData });
+        }
+        let start = Instant::now();
+        let pipeline = Arc::new(create::<S>(&self.0.raw, &words, subgroup)?);
+        self.0.pipeline_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        kernels.insert(key, pipeline.clone());
+        Ok(Kernel { pipeline, shader: PhantomData })
+    }
+}

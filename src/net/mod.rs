@@ -1,0 +1,4 @@
+//! The neural network.
+
+pub mod device;
+pub mod kernel;
