@@ -5,6 +5,7 @@
 pub mod error;
 pub mod gpu;
 pub mod image;
+pub mod metrics;
 pub mod net;
 pub mod render;
 pub mod scene;
