@@ -158,7 +158,8 @@ impl Tables {
             .zip(members)
             .map(|(m, ty)| {
                 let name = self.member_names[&(block, m)].clone();
-                let at = self.member_decorations[&(block, m, Decoration::Offset)].expect("push constant without offset");
+                let at =
+                    self.member_decorations[&(block, m, Decoration::Offset)].expect("push constant without offset");
                 Scalar { ty: self.scalar_type(id(ty), &name), name, at, default: String::new() }
             })
             .collect()

@@ -1,7 +1,7 @@
 //! Device buffers, ranges of them, and the way of data to and from the host.
 
-use super::device::{Gpu, Shared, lock, vk_error};
 use super::TexelFormat;
+use super::device::{Gpu, Shared, lock, vk_error};
 use crate::{Error, Result};
 use ash::vk;
 use bytemuck::Pod;
@@ -21,7 +21,13 @@ struct Memory {
     allocation: Allocation,
 }
 
-fn allocate(shared: &Shared, name: &str, bytes: u64, usage: vk::BufferUsageFlags, location: MemoryLocation) -> Result<Memory> {
+fn allocate(
+    shared: &Shared,
+    name: &str,
+    bytes: u64,
+    usage: vk::BufferUsageFlags,
+    location: MemoryLocation,
+) -> Result<Memory> {
     let device = &shared.raw;
     let info = vk::BufferCreateInfo::default().size(bytes).usage(usage).sharing_mode(vk::SharingMode::EXCLUSIVE);
     // SAFETY: the device is live; on failure below the buffer is destroyed and never used.
@@ -36,7 +42,13 @@ fn allocate(shared: &Shared, name: &str, bytes: u64, usage: vk::BufferUsageFlags
     if requirements.size > shared.info.max_allocation {
         return Err(fail(format!("one allocation may have {} MiB", shared.info.max_allocation >> 20)));
     }
-    let desc = AllocationCreateDesc { name, requirements, location, linear: true, allocation_scheme: AllocationScheme::GpuAllocatorManaged };
+    let desc = AllocationCreateDesc {
+        name,
+        requirements,
+        location,
+        linear: true,
+        allocation_scheme: AllocationScheme::GpuAllocatorManaged,
+    };
     let allocation = shared.allocator().allocate(&desc).map_err(|e| fail(e.to_string()))?;
     // SAFETY: memory and offset come from the allocator for these requirements.
     let bound = unsafe { device.bind_buffer_memory(raw, allocation.memory(), allocation.offset()) };
@@ -161,8 +173,11 @@ impl Slice {
                 inner.shared.info.max_texel_elements
             )));
         }
-        let info =
-            vk::BufferViewCreateInfo::default().buffer(inner.raw).format(vk_format).offset(self.offset).range(texels * texel);
+        let info = vk::BufferViewCreateInfo::default()
+            .buffer(inner.raw)
+            .format(vk_format)
+            .offset(self.offset)
+            .range(texels * texel);
         // SAFETY: the range lies in the buffer, which has storage-texel usage and outlives the view.
         let view = unsafe { inner.shared.raw.create_buffer_view(&info, None) }.map_err(vk_error)?;
         views.insert(key, view);

@@ -91,7 +91,14 @@ impl Gpu {
     }
 
     /// One copy between raw buffers, waited for.
-    pub(super) fn copy_now(&self, src: vk::Buffer, src_at: u64, dst: vk::Buffer, dst_at: u64, bytes: u64) -> Result<()> {
+    pub(super) fn copy_now(
+        &self,
+        src: vk::Buffer,
+        src_at: u64,
+        dst: vk::Buffer,
+        dst_at: u64,
+        bytes: u64,
+    ) -> Result<()> {
         let mut commands = Commands::empty(self, 0, 0)?;
         let device = &self.0.raw;
         let region = vk::BufferCopy { src_offset: src_at, dst_offset: dst_at, size: bytes };
@@ -116,7 +123,13 @@ impl Recorder {
     ///
     /// # Panics
     /// Where a storage binding is larger than the device allows: callers split their work before.
-    pub fn dispatch<S: Shader, P: PushBlock<Shader = S>>(&mut self, kernel: &Kernel<S>, bind: &S::Bind, push: &P, groups: [u32; 3]) {
+    pub fn dispatch<S: Shader, P: PushBlock<Shader = S>>(
+        &mut self,
+        kernel: &Kernel<S>,
+        bind: &S::Bind,
+        push: &P,
+        groups: [u32; 3],
+    ) {
         let slices: Vec<Slice> = bind.slices().into_iter().cloned().collect();
         let limit = self.gpu.0.info.max_storage_range;
         for (b, slice) in S::BINDINGS.iter().zip(&slices) {
@@ -207,7 +220,8 @@ impl Commands {
                 this.descriptors = device.create_descriptor_pool(&info, None).map_err(vk_error)?;
             }
             if query_count > 0 {
-                let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(query_count);
+                let info =
+                    vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(query_count);
                 this.queries = device.create_query_pool(&info, None).map_err(vk_error)?;
             }
             this.fence = device.create_fence(&vk::FenceCreateInfo::default(), None).map_err(vk_error)?;
@@ -285,7 +299,9 @@ impl Commands {
         // SAFETY: handles are alive (held by the operation), ranges were checked when the slices were made.
         unsafe {
             match operation {
-                Operation::Fill(dst) => device.cmd_fill_buffer(self.buffer, dst.buffer.0.raw, dst.offset, dst.bytes.next_multiple_of(4), 0),
+                Operation::Fill(dst) => {
+                    device.cmd_fill_buffer(self.buffer, dst.buffer.0.raw, dst.offset, dst.bytes.next_multiple_of(4), 0)
+                }
                 Operation::Copy(src, dst) => {
                     let region = vk::BufferCopy { src_offset: src.offset, dst_offset: dst.offset, size: src.bytes };
                     device.cmd_copy_buffer(self.buffer, src.buffer.0.raw, dst.buffer.0.raw, &[region]);
@@ -315,7 +331,11 @@ impl Commands {
         let mut buffers = Vec::with_capacity(d.slices.len());
         let mut views = Vec::with_capacity(d.slices.len());
         for (b, slice) in d.bindings.iter().zip(&d.slices) {
-            buffers.push([vk::DescriptorBufferInfo { buffer: slice.buffer.0.raw, offset: slice.offset, range: slice.bytes }]);
+            buffers.push([vk::DescriptorBufferInfo {
+                buffer: slice.buffer.0.raw,
+                offset: slice.offset,
+                range: slice.bytes,
+            }]);
             views.push([match b.kind {
                 BindingKind::StorageBuffer => vk::BufferView::null(),
                 BindingKind::TexelBuffer(format) => slice.view(format)?,
@@ -365,7 +385,12 @@ impl Commands {
         // SAFETY: the run has ended, so all queries are available.
         unsafe {
             device
-                .get_query_pool_results(self.queries, 0, &mut ticks, vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT)
+                .get_query_pool_results(
+                    self.queries,
+                    0,
+                    &mut ticks,
+                    vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT,
+                )
                 .map_err(vk_error)?;
         }
         let ms = |a: u64, b: u64| b.saturating_sub(a) as f64 * f64::from(self.gpu.0.info.timestamp_period_ns) * 1e-6;

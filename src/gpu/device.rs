@@ -94,7 +94,8 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 fn compute_family(instance: &ash::Instance, device: vk::PhysicalDevice) -> Option<u32> {
     // SAFETY: `device` came from this instance.
     let families = unsafe { instance.get_physical_device_queue_family_properties(device) };
-    let fits = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE) && f.timestamp_valid_bits > 0;
+    let fits =
+        |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE) && f.timestamp_valid_bits > 0;
     families.iter().position(fits).map(|i| i as u32)
 }
 
@@ -120,11 +121,7 @@ fn describe(instance: &ash::Instance, device: vk::PhysicalDevice, index: usize) 
     } else if compute_family(instance, device).is_none() {
         unusable = "it has no compute queue with timestamps".into();
     }
-    let driver = format!(
-        "{} {}",
-        text(v12.driver_name_as_c_str().ok()),
-        text(v12.driver_info_as_c_str().ok())
-    );
+    let driver = format!("{} {}", text(v12.driver_name_as_c_str().ok()), text(v12.driver_info_as_c_str().ok()));
     DeviceInfo {
         index,
         name: text(p.device_name_as_c_str().ok()),
@@ -157,7 +154,10 @@ pub fn list_devices() -> Result<Vec<DeviceInfo>> {
     Ok(enumerate(&Instance::new(false)?)?.into_iter().map(|(_, info)| info).collect())
 }
 
-fn pick(devices: Vec<(vk::PhysicalDevice, DeviceInfo)>, select: Option<&str>) -> Result<(vk::PhysicalDevice, DeviceInfo)> {
+fn pick(
+    devices: Vec<(vk::PhysicalDevice, DeviceInfo)>,
+    select: Option<&str>,
+) -> Result<(vk::PhysicalDevice, DeviceInfo)> {
     let names: Vec<_> = devices.iter().map(|(_, d)| format!("{}: {}", d.index, d.name)).collect();
     let rank = |d: &DeviceInfo| match d.kind {
         "discrete" => 0,

@@ -18,10 +18,7 @@ impl AccessRange {
     /// Whether the two must be ordered.
     #[must_use]
     pub fn conflicts(&self, other: &Self) -> bool {
-        self.buffer == other.buffer
-            && (self.write || other.write)
-            && self.begin < other.end
-            && other.begin < self.end
+        self.buffer == other.buffer && (self.write || other.write) && self.begin < other.end && other.begin < self.end
     }
 }
 

@@ -104,8 +104,7 @@ impl Instance {
             .pfn_user_callback(Some(on_message))
             .user_data(user);
         // SAFETY: the instance has the extension; `user` outlives the messenger (see `Drop`).
-        let messenger =
-            unsafe { loader.create_debug_utils_messenger(&info, None) }.map_err(super::device::vk_error)?;
+        let messenger = unsafe { loader.create_debug_utils_messenger(&info, None) }.map_err(super::device::vk_error)?;
         self.messenger = Some((loader, messenger));
         Ok(())
     }

@@ -85,8 +85,7 @@ fn create<S: Shader>(device: &ash::Device, words: &[u32], subgroup: Option<u32>)
             .zip(S::SPEC_IDS)
             .map(|(i, id)| vk::SpecializationMapEntry { constant_id: *id, offset: i * 4, size: 4 })
             .collect();
-        let special =
-            vk::SpecializationInfo::default().map_entries(&entries).data(bytemuck::cast_slice(words));
+        let special = vk::SpecializationInfo::default().map_entries(&entries).data(bytemuck::cast_slice(words));
         let mut required = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default();
         let mut stage = vk::PipelineShaderStageCreateInfo::default()
             .stage(vk::ShaderStageFlags::COMPUTE)
@@ -98,9 +97,8 @@ fn create<S: Shader>(device: &ash::Device, words: &[u32], subgroup: Option<u32>)
             stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS).push_next(&mut required);
         }
         let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout);
-        let raw = device
-            .create_compute_pipelines(vk::PipelineCache::null(), &[info], None)
-            .map_err(|(_, e)| vk_error(e))?[0];
+        let raw =
+            device.create_compute_pipelines(vk::PipelineCache::null(), &[info], None).map_err(|(_, e)| vk_error(e))?[0];
         Ok(Pipeline { raw, layout, set_layout, module })
     }
 }

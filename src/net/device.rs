@@ -3,8 +3,8 @@
 //! A tensor made by concatenation keeps two channel segments, each padded to 4, so that joining and splitting move whole
 //! texels. Places that only pad hold zeros.
 
-use crate::gpu::{DeviceInfo, Gpu, Slice};
 use crate::Result;
+use crate::gpu::{DeviceInfo, Gpu, Slice};
 
 /// The channels of a device tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

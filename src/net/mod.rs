@@ -7,6 +7,8 @@ pub mod architecture;
 pub mod device;
 pub mod kernel;
 pub mod layer;
+pub mod parameters;
+pub mod plan;
 pub mod reference;
 pub mod tensor;
 pub mod weights;

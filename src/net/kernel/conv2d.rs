@@ -70,7 +70,15 @@ impl Layer {
 }
 
 /// Records the packing of OIHW `weight` into `packed`.
-pub fn pack(gpu: &Gpu, rec: &mut Recorder, family: Family, layer: Layer, weight: &Slice, packed: &Slice, transposed: bool) -> Result<()> {
+pub fn pack(
+    gpu: &Gpu,
+    rec: &mut Recorder,
+    family: Family,
+    layer: Layer,
+    weight: &Slice,
+    packed: &Slice,
+    transposed: bool,
+) -> Result<()> {
     let (read, _) = layer.direction(transposed);
     let (segment, segment_padded) = layer.input.segment();
     let count = layer.packed_texels(family, transposed);
@@ -146,11 +154,19 @@ fn record_portable(gpu: &Gpu, rec: &mut Recorder, pass: &Pass<'_>) -> Result<()>
     let cout4 = shape.c.texels();
     // Windows of 16 rows, so that each begins where its slice does.
     let units = (shape.n * shape.h).div_ceil(16);
-    for (begin, end, window_row, y) in row_windows(gpu, pass.y, units, |u| (u * 16, ((u + 1) * 16).min(shape.n * shape.h))) {
+    for (begin, end, window_row, y) in
+        row_windows(gpu, pass.y, units, |u| (u * 16, ((u + 1) * 16).min(shape.n * shape.h)))
+    {
         let rows = (end * 16).min(shape.n * shape.h) - begin * 16;
         let count = rows * shape.w * cout4;
-        let push =
-            PortablePush { height: shape.h, width: shape.w, cin4: pass.x.shape.c.texels(), cout4, row_begin: window_row, count };
+        let push = PortablePush {
+            height: shape.h,
+            width: shape.w,
+            cin4: pass.x.shape.c.texels(),
+            cout4,
+            row_begin: window_row,
+            count,
+        };
         let bind =
             shaders::conv2d::Bind { x: pass.x.slice.clone(), weight: pass.weight.clone(), bias: pass.bias.clone(), y };
         rec.dispatch(&kernel, &bind, &push, groups(u64::from(count)));
@@ -183,8 +199,12 @@ fn record_cpu(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Res
             tile_count,
             window_row,
         };
-        let bind =
-            shaders::conv2d_cpu::Bind { x: pass.x.slice.clone(), weight: pass.weight.clone(), bias: pass.bias.clone(), y };
+        let bind = shaders::conv2d_cpu::Bind {
+            x: pass.x.slice.clone(),
+            weight: pass.weight.clone(),
+            bias: pass.bias.clone(),
+            y,
+        };
         rec.dispatch(&kernel, &bind, &push, [tile_count.div_ceil(LOCAL / lanes), (cout4 * 4).div_ceil(lanes), 1]);
     }
     Ok(())

@@ -1,0 +1,4 @@
+//! Gradients of the layers on the device.
+
+pub mod conv2d;
+pub mod elementwise;

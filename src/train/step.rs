@@ -1,0 +1,185 @@
+//! One training step on the device: forward, loss, backward, Adam, packing of the new weights; one command list.
+
+use super::adam::Adam;
+use super::backward::Backward;
+use crate::Result;
+use crate::gpu::{Buffer, Commands, Gpu, Recorder, Timings};
+use crate::net::architecture::Architecture;
+use crate::net::device::{Channels, DeviceTensor, groups};
+use crate::net::kernel::Family;
+use crate::net::parameters::Parameters;
+use crate::net::plan::{Fusion, Memory, Plan};
+use crate::net::weights::Weights;
+use crate::{push_block, shaders};
+
+push_block! {
+    /// Push constants of `mae_loss.comp`.
+    pub struct LossPush for shaders::mae_loss { pixels: u32, invocations: u32, scale: f32 }
+}
+push_block! {
+    /// Push constants of `adam.comp`.
+    pub struct AdamPush for shaders::adam { count: u32, beta1: f32, beta2: f32, epsilon: f32 }
+}
+
+/// Invocations that share the sum of a loss.
+const LOSS_INVOCATIONS: u32 = 4096;
+
+/// What Adam keeps from step to step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Moments {
+    /// Steps done.
+    pub step: u64,
+    /// Mean of the gradient, for each parameter.
+    pub mean: Vec<f32>,
+    /// Mean of its square, for each parameter.
+    pub mean_square: Vec<f32>,
+}
+
+/// A network in training at one batch size.
+pub struct Step {
+    gpu: Gpu,
+    /// The network's parameters.
+    pub parameters: Parameters,
+    plan: Plan,
+    backward: Backward,
+    target: DeviceTensor,
+    loss: Buffer,
+    mean: Buffer,
+    mean_square: Buffer,
+    factors: Buffer,
+    adam: Adam,
+    steps_done: u64,
+    commands: Commands,
+}
+
+impl Step {
+    /// Tensors and commands for batches of `n` crops of `h` x `w` pixels.
+    pub fn new(gpu: &Gpu, family: Family, weights: &Weights, size: (u32, u32, u32), adam: Adam) -> Result<Self> {
+        let parameters = Parameters::new(gpu, family, weights, true)?;
+        let plan = Plan::new(gpu, &weights.architecture, size, Memory::Kept, Fusion::Activation)?;
+        let backward = Backward::new(gpu, &parameters, &plan)?;
+        let shape = plan.output().shape;
+        let target = DeviceTensor::new(gpu, "target", shape.with_channels(Channels::new(3)))?;
+        let loss = gpu.buffer("loss", u64::from(LOSS_INVOCATIONS) * 4)?;
+        let like_parameters = |name| gpu.buffer(name, parameters.flat.bytes());
+        let (mean, mean_square) = (like_parameters("Adam mean")?, like_parameters("Adam mean square")?);
+        let factors = gpu.buffer("Adam factors", 8)?;
+        let mut rec = gpu.recorder();
+        plan.record(&mut rec, &parameters)?;
+        record_loss(gpu, &mut rec, plan.output(), &target, backward.output_gradient(), &loss)?;
+        backward.record(&mut rec, &parameters, &plan)?;
+        let kernel = gpu.kernel::<shaders::adam::Shader>(&Default::default())?;
+        let count = (parameters.padded_len() / 4) as u32;
+        let push = AdamPush { count, beta1: adam.beta1 as f32, beta2: adam.beta2 as f32, epsilon: adam.epsilon as f32 };
+        let bind = shaders::adam::Bind {
+            gradient: backward.flat.all(),
+            step_factors: factors.all(),
+            parameter: parameters.flat.all(),
+            first_moment: mean.all(),
+            second_moment: mean_square.all(),
+        };
+        rec.dispatch(&kernel, &bind, &push, groups(u64::from(count)));
+        parameters.record_pack(&mut rec)?;
+        let commands = rec.finish()?;
+        let gpu = gpu.clone();
+        Ok(Self {
+            gpu,
+            parameters,
+            plan,
+            backward,
+            target,
+            loss,
+            mean,
+            mean_square,
+            factors,
+            adam,
+            steps_done: 0,
+            commands,
+        })
+    }
+
+    /// Where the batch's network inputs go.
+    #[must_use]
+    pub fn input(&self) -> &DeviceTensor {
+        self.plan.input()
+    }
+
+    /// Where the batch's targets go, in the space of the network's output.
+    #[must_use]
+    pub fn target(&self) -> &DeviceTensor {
+        &self.target
+    }
+
+    /// The recorded operations, for the hazard checker.
+    #[must_use]
+    pub fn commands(&self) -> &Commands {
+        &self.commands
+    }
+
+    /// Steps done, over all runs.
+    #[must_use]
+    pub fn steps_done(&self) -> u64 {
+        self.steps_done
+    }
+
+    /// Takes one step at a learning rate; gives the loss before it, a mean over all values.
+    pub fn run(&mut self, learning_rate: f64) -> Result<(f64, Timings)> {
+        let (c1, c2) = self.adam.corrections(self.steps_done + 1);
+        self.gpu.upload(&self.factors.all(), &[(learning_rate / c1) as f32, (1.0 / c2.sqrt()) as f32])?;
+        let timings = self.commands.run()?;
+        self.steps_done += 1;
+        let parts: Vec<f32> = self.gpu.download(&self.loss.all())?;
+        let values =
+            u64::from(self.target.shape.n) * u64::from(self.target.shape.h) * u64::from(self.target.shape.w) * 3;
+        Ok((parts.iter().map(|p| f64::from(*p)).sum::<f64>() / values as f64, timings))
+    }
+
+    /// The gradient of the last step, in the order of the flat parameter vector.
+    pub fn gradient(&self) -> Result<Vec<f32>> {
+        Ok(self.parameters.unpad(&self.gpu.download::<f32>(&self.backward.flat.all())?))
+    }
+
+    /// What Adam keeps.
+    pub fn moments(&self) -> Result<Moments> {
+        let read = |b: &Buffer| -> Result<Vec<f32>> { Ok(self.parameters.unpad(&self.gpu.download::<f32>(&b.all())?)) };
+        Ok(Moments { step: self.steps_done, mean: read(&self.mean)?, mean_square: read(&self.mean_square)? })
+    }
+
+    /// Continues from saved moments; the parameters are set apart.
+    pub fn set_moments(&mut self, moments: &Moments) -> Result<()> {
+        self.gpu.upload(&self.mean.all(), &self.parameters.pad(&moments.mean))?;
+        self.gpu.upload(&self.mean_square.all(), &self.parameters.pad(&moments.mean_square))?;
+        self.steps_done = moments.step;
+        Ok(())
+    }
+
+    /// The weights as they are now.
+    pub fn weights(&self, architecture: &Architecture) -> Result<Weights> {
+        let metadata = std::collections::BTreeMap::new();
+        Ok(Weights { architecture: architecture.clone(), parameters: self.parameters.get()?, metadata })
+    }
+}
+
+/// Records the mean absolute error of 3 channels, in parts, and its gradient.
+pub fn record_loss(
+    gpu: &Gpu,
+    rec: &mut Recorder,
+    output: &DeviceTensor,
+    target: &DeviceTensor,
+    gradient: &DeviceTensor,
+    parts: &Buffer,
+) -> Result<()> {
+    assert_eq!((output.shape, output.shape), (target.shape, gradient.shape));
+    let pixels = output.shape.texels() as u32;
+    let kernel = gpu.kernel::<shaders::mae_loss::Shader>(&Default::default())?;
+    let bind = shaders::mae_loss::Bind {
+        prediction: output.slice.clone(),
+        target: target.slice.clone(),
+        gradient: gradient.slice.clone(),
+        partial: parts.all(),
+    };
+    let invocations = LOSS_INVOCATIONS.min(pixels);
+    let push = LossPush { pixels, invocations, scale: 1.0 / (3.0 * pixels as f32) };
+    rec.dispatch(&kernel, &bind, &push, groups(u64::from(invocations)));
+    Ok(())
+}
