@@ -327,7 +327,9 @@ void main() {
     vertex.id = NONE;
 
     if (ANTIALIAS) {
-        if (sample_begin >= sample_end) return;
+        sum_albedo = aov_albedo[index].rgb;
+        sum_normal = aov_normal[index].xyz;
+        sum_screen = aov_screen[index];
         d = camera_ray(vec2(pixel) + random4(SAMPLER, key, sample_index, 0u).xy);
     } else {
         d = camera_ray(vec2(pixel) + 0.5);
@@ -447,9 +449,9 @@ void main() {
     block[index] = vec4(sum_block, 0.0);
     counts[index] += uvec4(rays, sample_end - sample_begin, bad, inexact);
     if (ANTIALIAS) {
-        aov_albedo[index] += vec4(sum_albedo, 0.0);
-        aov_normal[index] += vec4(sum_normal, 0.0);
-        aov_screen[index] += sum_screen;
+        aov_albedo[index] = vec4(sum_albedo, 0.0);
+        aov_normal[index] = vec4(sum_normal, 0.0);
+        aov_screen[index] = sum_screen;
     }
     if (VARIANCE) {
         batch[3u * index] = vec4(batch_sum, 0.0);

@@ -3,8 +3,8 @@
 use glam::{DMat3, DVec3};
 
 use super::features::{axis_of, emits, is_inward, is_rect};
-use crate::scene::{Geometry, Scene, Shape};
 use crate::Result;
+use crate::scene::{Geometry, Scene, Shape};
 
 /// Rows of the camera before the first primitive.
 const CAMERA_ROWS: usize = 4;

@@ -314,7 +314,7 @@ impl Renderer {
     pub fn stats(&self) -> Result<Stats> {
         let mut stats = self.stats.clone();
         if !self.clear_first {
-            for c in self.gpu.download::<[u32; 4]>(&self.state.counts.all())? {
+            for c in self.gpu.download::<[u32; 4]>(&self.state.plane(&self.state.counts))? {
                 stats.rays += u64::from(c[0]);
                 stats.samples += u64::from(c[1]);
                 stats.invalid += u64::from(c[2]);
