@@ -10,7 +10,7 @@ layout(set = 0, binding = 0, std430) writeonly buffer Values { vec4 values[]; };
 
 layout(push_constant) uniform Push {
     uint count;
-    uint kind;      // 0 numbers, 1 sphere, 2 hemisphere, 3 cosine, 4 cone, 5 numbers of random1 in x
+    uint kind;      // 0 numbers, 1 sphere, 2 hemisphere, 3 cosine, 4 cone, 5 the number of random1
     uint sampler_kind;
     uint per_pixel; // samples of one pixel
     uint seed;
@@ -39,7 +39,7 @@ void main() {
         value.xyz = sample_cone(n, cone, u.zw, one_minus_cos);
         value.w = one_minus_cos;
         break;
-    case 5u: value.x = random1(sampler_kind, key, i % per_pixel, dimension); break;
+    case 5u: value = vec4(random1(sampler_kind, key, i % per_pixel, dimension)); break;
     default: value = vec4(0.0 / 0.0);
     }
     values[i] = value;
