@@ -5,9 +5,11 @@
 pub mod error;
 pub mod gpu;
 pub mod image;
+pub mod metrics;
 pub mod net;
 pub mod render;
 pub mod scene;
 pub mod shaders;
+pub mod train;
 
 pub use error::{Error, Result};

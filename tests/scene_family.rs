@@ -7,6 +7,9 @@ use limpid::scene::{Camera, Geometry, Scene, Shape, Spec, mitsuba};
 /// Rounding of a distance between points of the box: a few ulp of 1.
 const ROUNDING: f64 = 1e-14;
 
+type Change = fn(&mut Scene);
+type BoxedChange = Box<dyn Fn(&mut Scene)>;
+
 fn spheres(scene: &Scene) -> Vec<(DVec3, f64, &Shape)> {
     scene
         .shapes
@@ -169,7 +172,7 @@ fn specs() {
 
 #[test]
 fn validation_refuses_what_cannot_be_rendered() {
-    let change = |f: fn(&mut Scene)| {
+    let change = |f: Change| {
         let mut scene = family::spheres(1);
         f(&mut scene);
         scene
@@ -180,7 +183,7 @@ fn validation_refuses_what_cannot_be_rendered() {
     fn rectangle(scene: &mut Scene, half_u: DVec3, half_v: DVec3) {
         scene.shapes[0].geometry = Geometry::Rectangle { center: DVec3::ZERO, half_u, half_v };
     }
-    let bad: [(&str, fn(&mut Scene)); 24] = [
+    let bad: [(&str, Change); 24] = [
         ("no pixels", |s| s.camera.width = 0),
         ("no pixels", |s| s.camera.height = 0),
         ("too large", |s| s.camera.width = 16_385),
@@ -213,7 +216,7 @@ fn validation_refuses_what_cannot_be_rendered() {
     }
     let error = change(|s| s.shapes[5].radiance.x = -1.0).validate().unwrap_err();
     assert!(error.to_string().contains("'light'"), "the shape is named: {error}");
-    let good: [fn(&mut Scene); 3] = [
+    let good: [Change; 3] = [
         |s| s.shapes.clear(),
         |s| s.shapes[0].albedo = DVec3::ONE,
         |s| (s.camera.width, s.camera.height) = (16_384, 16_384),
@@ -227,7 +230,7 @@ fn hash_sees_every_number() {
     let hash = scene.hash();
     assert!(hash.len() == 16 && hash.bytes().all(|b| b.is_ascii_hexdigit()));
     let next = |v: &mut f64| *v = v.next_up();
-    let changes: [Box<dyn Fn(&mut Scene)>; 9] = [
+    let changes: [BoxedChange; 9] = [
         Box::new(|s| s.camera.width += 1),
         Box::new(|s| s.camera.height += 1),
         Box::new(move |s| next(&mut s.camera.fov_x_degrees)),

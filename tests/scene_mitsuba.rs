@@ -127,7 +127,7 @@ fn shapes_and_materials() {
     let cavity = shape(r#"<shape type="sphere"><boolean name="flip_normals" value="true"/></shape>"#);
     assert_eq!(cavity.geometry, Geometry::Sphere { center: DVec3::ZERO, radius: 1.0, inward: true });
     let moved = shape(
-        r#"<shape type="sphere"><point name="center" x="1"/><float name="radius" value="0.5"/>
+        r#"<shape type="sphere"><point name="center" x="1" y="0" z="0"/><float name="radius" value="0.5"/>
            <transform name="to_world"><scale value="2"/><rotate z="1" angle="90"/><translate y="3"/></transform>
            <bsdf type="diffuse"><float name="reflectance" value="0.3"/></bsdf>
            <emitter type="area"><float name="radiance" value="4"/></emitter></shape>"#,
@@ -165,7 +165,7 @@ fn rotations_follow_the_right_hand() {
         ("x=\"1\"", DMat3::from_rotation_x(30f64.to_radians())),
         ("y=\"1\"", DMat3::from_rotation_y(30f64.to_radians())),
         ("z=\"1\"", DMat3::from_rotation_z(30f64.to_radians())),
-        ("x=\"1\" y=\"2\"", DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 0.0).normalize(), 30f64.to_radians())),
+        ("x=\"0.6\" z=\"-0.8\"", DMat3::from_axis_angle(DVec3::new(0.6, 0.0, -0.8), 30f64.to_radians())),
     ] {
         let (_, half_u, half_v) = rectangle(&xml(axis));
         assert!(half_u.distance(matrix.x_axis) < 1e-15 && half_v.distance(matrix.y_axis) < 1e-15, "{axis}");
@@ -229,6 +229,7 @@ fn errors_name_line_and_element() {
         (3, "unknown parameter", r#"<shape type="sphere"><float name="radius" value="$r"/></shape>"#),
         (3, "not a finite number", r#"<shape type="sphere"><float name="radius" value="1x"/></shape>"#),
         (3, "not a finite number", r#"<shape type="sphere"><float name="radius" value="nan"/></shape>"#),
+        (3, "lacks the attribute 'z'", r#"<shape type="sphere"><point name="center" x="1" y="0"/></shape>"#),
         (3, "radius", r#"<shape type="sphere"><float name="radius" value="0"/></shape>"#),
         (3, "must be <rgb> or <float>", r#"<bsdf type="diffuse"><integer name="reflectance" value="1"/></bsdf>"#),
         (3, "[0, 1]", r#"<bsdf type="diffuse"><rgb name="reflectance" value="1,1,1.1"/></bsdf>"#),
@@ -259,6 +260,11 @@ fn errors_name_line_and_element() {
         (3, "<shear>", r#"<shape type="rectangle"><transform name="to_world"><shear/></transform></shape>"#),
         (3, "'angle'", r#"<shape type="rectangle"><transform name="to_world"><rotate x="1"/></transform></shape>"#),
         (3, "axis", r#"<shape type="rectangle"><transform name="to_world"><rotate angle="1"/></transform></shape>"#),
+        (
+            3,
+            "length 2",
+            r#"<shape type="rectangle"><transform name="to_world"><rotate x="2" angle="1"/></transform></shape>"#,
+        ),
         (3, "'w'", r#"<shape type="rectangle"><transform name="to_world"><translate w="1"/></transform></shape>"#),
         (3, "text", "words"),
         (3, "lacks the attribute 'type'", "<shape/>"),
@@ -355,7 +361,7 @@ proptest! {
         let body = format!(
             r#"{SENSOR}<shape type="rectangle"><transform name="to_world"><scale x="{}" y="{}" z="{}"/>
             <rotate x="{}" y="{}" z="{}" angle="{}"/><translate x="{}" y="{}"/></transform></shape>
-            <shape type="sphere"><float name="radius" value="{}"/><point name="center" x="{}" y="{}"/></shape>"#,
+            <shape type="sphere"><float name="radius" value="{}"/><point name="center" x="{}" y="{}" z="0"/></shape>"#,
             n(0), n(1), n(2), n(3), n(4), n(5), n(6), n(7), n(8), n(9), n(10), n(11)
         );
         if let Ok(loaded) = load(&body) {

@@ -14,13 +14,13 @@ layout(local_size_x = 64) in;
 layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;       // [n][h][w][cin4]
 layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer weight;  // [cout/L][cin4][9][L] of 4 input channels
 layout(set = 0, binding = 2, r32f) readonly uniform imageBuffer bias;       // [cout]
-layout(set = 0, binding = 3, std430) writeonly buffer Y { float y[]; };     // rows of [n][h][w][cout], a window
+layout(set = 0, binding = 3, std430) writeonly buffer Y { vec4 y[]; };      // rows of [n][h][w][cout4], a window
 
 layout(push_constant) uniform Push {
     uint height;
     uint width;
     uint cin4;
-    uint cout;             // padded to 4
+    uint cout4;
     uint tiles_x;
     uint tiles_y;          // of one image
     uint tile_row_begin;   // first of this dispatch, over all images
@@ -28,8 +28,8 @@ layout(push_constant) uniform Push {
     uint window_row;       // first row of the output window, over all images
 };
 
-const int TW = 6;
-const int TH = 4;
+layout(constant_id = 2) const int TW = 6;             // tile, pixels
+layout(constant_id = 3) const int TH = 4;
 const int PW = TW + 2;
 const int PATCH = PW * (TH + 2);
 const int LOADS = PATCH / int(L);
@@ -79,13 +79,25 @@ void main() {
         w_at += 9 * int(L);
     }
 
-    const bool alive = index < tile_count && co < cout;
-    [[unroll]] for (int i = 0; i < TW * TH; ++i) {
-        const uint px = uint(x0 + i % TW);
-        const uint py = uint(y0 + i / TW);
-        const float v = acc[i] > 0.0 ? acc[i] : acc[i] * SLOPE;
+    // A store of one float a lane runs lane by lane: regroup, so that a lane holds 4 channels of one of 4 pixels.
+    const uint quad = lane % (L / 4);
+    const uint own = lane / (L / 4);
+    const uint co4 = co_block * (L / 4) + quad;
+    const bool alive = index < tile_count && co4 < cout4;
+    [[unroll]] for (int i = 0; i < TW * TH; i += 4) {
+        vec4 v = vec4(0.0);
+        [[unroll]] for (int p = 0; p < 4; ++p) {
+            const float a = acc[i + p] > 0.0 ? acc[i + p] : acc[i + p] * SLOPE;
+            [[unroll]] for (int q = 0; q < int(L) / 4; ++q) {
+                const vec4 other = vec4(subgroupShuffle(a, uint(q * 4)), subgroupShuffle(a, uint(q * 4 + 1)),
+                    subgroupShuffle(a, uint(q * 4 + 2)), subgroupShuffle(a, uint(q * 4 + 3)));
+                v = mix(v, other, bvec4(own == uint(p) && quad == uint(q)));
+            }
+        }
+        const uint px = uint(x0) + uint(i + int(own)) % uint(TW);
+        const uint py = uint(y0) + uint(i + int(own)) / uint(TW);
         if (alive && px < width && py < height) {
-            y[((image_row + py - window_row) * width + px) * cout + co] = v;
+            y[((image_row + py - window_row) * width + px) * cout4 + co4] = v;
         }
     }
 }

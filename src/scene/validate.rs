@@ -1,13 +1,10 @@
 //! What a scene must fulfil before anything is rendered.
 
 use super::{Camera, Geometry, Scene, Shape};
+pub use crate::image::{MAX_PIXELS, MAX_SIDE, check_size};
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 
-/// The largest image width or height in pixels.
-pub const MAX_SIDE: u32 = 16_384;
-/// The largest number of pixels of an image.
-pub const MAX_PIXELS: u64 = 1 << 28;
 /// The largest coordinate or length, scene units: its square stays finite in f32.
 pub const MAX_LENGTH: f64 = 1e15;
 /// The smallest radius or half edge, scene units: its square stays a normal number in f32.
@@ -16,18 +13,6 @@ pub const MIN_LENGTH: f64 = 1e-15;
 pub const MAX_RADIANCE: f64 = 1e30;
 /// How far a rectangle's corner may be from 90 degrees (cosine), and a camera's axes from orthonormal.
 pub const SHEAR_TOLERANCE: f64 = 1e-6;
-
-/// Checks an image size: both sides 1 to [`MAX_SIDE`], at most [`MAX_PIXELS`] in all.
-pub fn check_size(width: u32, height: u32) -> Result<()> {
-    let allowed = format!("1 to {MAX_SIDE} a side and at most {MAX_PIXELS} pixels in all");
-    if width == 0 || height == 0 {
-        return Err(Error::input(format!("image size {width}x{height}: no pixels; allowed: {allowed}")));
-    }
-    if width > MAX_SIDE || height > MAX_SIDE || u64::from(width) * u64::from(height) > MAX_PIXELS {
-        return Err(Error::input(format!("image size {width}x{height} is too large; allowed: {allowed}")));
-    }
-    Ok(())
-}
 
 impl Scene {
     /// Refuses what cannot be rendered: sizes out of range, non-finite or huge numbers, a camera that is not rigid,

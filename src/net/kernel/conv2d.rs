@@ -17,7 +17,7 @@ push_block! {
 push_block! {
     /// Push constants of `conv2d_cpu.comp`.
     pub struct CpuPush for shaders::conv2d_cpu {
-        height: u32, width: u32, cin4: u32, cout: u32, tiles_x: u32, tiles_y: u32, tile_row_begin: u32, tile_count: u32,
+        height: u32, width: u32, cin4: u32, cout4: u32, tiles_x: u32, tiles_y: u32, tile_row_begin: u32, tile_count: u32,
         window_row: u32,
     }
 }
@@ -30,7 +30,11 @@ push_block! {
 }
 
 /// Tile of `conv2d_cpu.comp`, pixels.
-const TILE: (u32, u32) = (6, 4);
+fn tile() -> (u32, u32) {
+    let v = std::env::var("TILE").unwrap_or("6,4".into());
+    let (a, b) = v.split_once(',').unwrap();
+    (a.parse().unwrap(), b.parse().unwrap())
+}
 /// Invocations of a workgroup of `conv2d_cpu.comp`.
 const LOCAL: u32 = 64;
 
@@ -155,10 +159,12 @@ fn record_portable(gpu: &Gpu, rec: &mut Recorder, pass: &Pass<'_>) -> Result<()>
 }
 
 fn record_cpu(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Result<()> {
-    let spec = shaders::conv2d_cpu::Spec { l: lanes, slope: pass.slope };
+    #[allow(non_snake_case)]
+    let TILE = tile();
+    let spec = shaders::conv2d_cpu::Spec { l: lanes, slope: pass.slope, tw: TILE.0 as i32, th: TILE.1 as i32 };
     let kernel = gpu.kernel_with_subgroup::<shaders::conv2d_cpu::Shader>(&spec, lanes)?;
     let shape = pass.y.shape;
-    let cout = shape.c.texels() * 4;
+    let cout4 = shape.c.texels();
     let (tiles_x, tiles_y) = (shape.w.div_ceil(TILE.0), shape.h.div_ceil(TILE.1));
     let rows = |unit: u32| {
         let (n, y0) = (unit / tiles_y, unit % tiles_y * TILE.1);
@@ -170,7 +176,7 @@ fn record_cpu(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Res
             height: shape.h,
             width: shape.w,
             cin4: pass.x.shape.c.texels(),
-            cout,
+            cout4,
             tiles_x,
             tiles_y,
             tile_row_begin: begin,
@@ -179,7 +185,7 @@ fn record_cpu(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Res
         };
         let bind =
             shaders::conv2d_cpu::Bind { x: pass.x.slice.clone(), weight: pass.weight.clone(), bias: pass.bias.clone(), y };
-        rec.dispatch(&kernel, &bind, &push, [tile_count.div_ceil(LOCAL / lanes), cout.div_ceil(lanes), 1]);
+        rec.dispatch(&kernel, &bind, &push, [tile_count.div_ceil(LOCAL / lanes), (cout4 * 4).div_ceil(lanes), 1]);
     }
     Ok(())
 }

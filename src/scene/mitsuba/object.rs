@@ -145,6 +145,10 @@ impl<'a> Object<'a> {
         let Some(property) = self.take(name, &["point"])? else { return Ok(None) };
         property.no_children()?;
         property.only_attributes(&["name", "value", "x", "y", "z"])?;
+        // As in Mitsuba, no coordinate of a point may be left out.
+        if property.attribute("value")?.is_none() {
+            ["x", "y", "z"].into_iter().try_for_each(|name| property.required(name).map(drop))?;
+        }
         super::transform::vector(property, 0.0).map(Some)
     }
 

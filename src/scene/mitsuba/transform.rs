@@ -6,6 +6,9 @@ use crate::scene::camera::look_at_matrix;
 use crate::scene::math::sin_cos_degrees;
 use glam::{DMat3, DMat4, DVec3, DVec4};
 
+/// How far the length of a rotation's axis may be from 1: what three printed digits leave.
+const AXIS_TOLERANCE: f64 = 1e-3;
+
 /// The composed matrix of a `<transform>`: the first operation acts first.
 pub fn transform(element: Element) -> Result<DMat4> {
     element.only_attributes(&["name"])?;
@@ -32,8 +35,14 @@ fn operation(element: Element) -> Result<DMat4> {
             element.only_attributes(&["x", "y", "z", "value", "angle"])?;
             let angle = element.number("angle")?;
             let angle = angle.ok_or_else(|| element.error("<rotate> lacks the attribute 'angle' (degrees)"))?;
-            let axis = vector(element, 0.0)?.try_normalize();
-            let axis = axis.ok_or_else(|| element.error("<rotate> needs an axis, e.g. y=\"1\""))?;
+            let axis = vector(element, 0.0)?;
+            if (axis.length() - 1.0).abs() > AXIS_TOLERANCE {
+                return Err(element.error(format!(
+                    "<rotate> has an axis of length {}; it must be 1, e.g. y=\"1\" (Mitsuba shears with others)",
+                    axis.length()
+                )));
+            }
+            let axis = axis.normalize();
             Ok(DMat4::from_mat3(rotation(axis, angle)))
         }
         "lookat" => {

@@ -1,0 +1,207 @@
+#!/usr/bin/env python3
+"""Writes the goldens of tests/net_reference.rs: what PyTorch computes in float64.
+
+    pip install torch numpy safetensors && python tests/golden/make_goldens.py
+
+All inputs come from one integer hash that limpid has too (src/net/tensor.rs), so that only results are stored; the
+inputs of the layers are stored as well and show that both sides draw the same numbers.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from safetensors.numpy import save_file
+
+HERE = Path(__file__).parent
+GAMMA = np.uint64(0x9E3779B97F4A7C15)
+torch.set_default_dtype(torch.float64)
+
+
+def mix(z):
+    """The finalizer of splitmix64, on uint64 (arrays)."""
+    with np.errstate(over="ignore"):
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        return z ^ (z >> np.uint64(31))
+
+
+def hashes(seed, count):
+    with np.errstate(over="ignore"):
+        counters = np.arange(1, count + 1, dtype=np.uint64) * GAMMA
+        return mix(mix(np.uint64(seed)) + counters)
+
+
+def seed_of(name):
+    """64-bit FNV-1a."""
+    h = 0xCBF29CE484222325
+    for byte in name.encode():
+        h = ((h ^ byte) * 0x100000001B3) & 0xFFFFFFFFFFFFFFFF
+    return h
+
+
+def uniform(shape, name):
+    """Uniform in [-1, 1), exact in float32."""
+    u = (hashes(seed_of(name), math.prod(shape)) >> np.uint64(40)).astype(np.float64) / 2**24
+    return (2 * u - 1).reshape(shape)
+
+
+def integers(shape, name):
+    """Integers from -3 to 3."""
+    h = hashes(seed_of(name), math.prod(shape)) >> np.uint64(40)
+    return (h % np.uint64(7)).astype(np.float64).reshape(shape) - 3
+
+
+# --- layers: rows of the case table (src/net/layer/case.rs), each (layer, integers?, batch, cin, cout, h, w, slope)
+
+ROWS = [
+    ("conv2d", False, 1, 1, 1, 1, 1, None),
+    ("conv2d", False, 1, 1, 1, 3, 5, None),
+    ("conv2d", False, 1, 3, 101, 5, 1, None),
+    ("conv2d", False, 1, 101, 3, 1, 64, None),
+    ("conv2d", False, 3, 6, 32, 13, 11, None),
+    ("conv2d", True, 1, 101, 3, 2, 3, None),
+    ("leaky_relu", False, 1, 3, 3, 5, 7, 0.1),
+    ("leaky_relu", True, 3, 3, 3, 1, 31, 0.1),
+    ("leaky_relu", True, 1, 6, 6, 17, 19, 0.0),
+    ("max_pool2d", False, 1, 3, 3, 3, 3, None),
+    ("max_pool2d", False, 1, 6, 6, 2, 71, None),
+    ("max_pool2d", True, 3, 6, 6, 17, 19, None),
+    ("upsample2d", False, 1, 1, 1, 1, 1, None),
+    ("upsample2d", False, 1, 3, 3, 3, 5, None),
+    ("upsample2d", False, 3, 3, 3, 2, 4, None),
+    ("concat", False, 1, 3, 9, 3, 5, None),
+    ("concat", False, 1, 6, 7, 1, 71, None),
+    ("concat", False, 3, 43, 49, 5, 7, None),
+]
+
+
+def layer_golden(out, layer, whole, batch, cin, cout, h, w, slope):
+    name = f"{layer}_n{batch}_c{cin}-{cout}_h{h}_w{w}"
+    # limpid's slope is a float32, 0.1 printed short.
+    name += f"_slope{slope:g}" if slope is not None else ""
+    name += "_integers" if whole else ""
+    draw = lambda part, shape: torch.tensor((integers if whole else uniform)(shape, f"{name}/{part}"), requires_grad=True)
+    leaves = {"input0": draw("input0", (batch, cin, h, w))}
+    x = leaves["input0"]
+    if layer == "conv2d":
+        leaves["weight"] = draw("weight", (cout, cin, 3, 3))
+        leaves["bias"] = draw("bias", (cout,))
+        y = F.conv2d(x, leaves["weight"], leaves["bias"], padding=1)
+    elif layer == "leaky_relu":
+        y = F.leaky_relu(x, float(np.float32(slope)))
+    elif layer == "max_pool2d":
+        y = F.max_pool2d(x, 2)
+    elif layer == "upsample2d":
+        y = F.interpolate(x, scale_factor=2, mode="nearest")
+    elif layer == "concat":
+        leaves["input1"] = draw("input1", (batch, cout - cin, h, w))
+        y = torch.cat([x, leaves["input1"]], 1)
+    dy = draw("output_gradient", tuple(y.shape)).detach()
+    y.backward(dy)
+    for part, value in leaves.items():
+        out[f"{name}/{part}"] = value.detach().numpy().astype(np.float32)
+        out[f"{name}/{part}.gradient"] = value.grad.numpy()
+    out[f"{name}/output_gradient"] = dy.numpy().astype(np.float32)
+    out[f"{name}/output"] = y.detach().numpy()
+
+
+# --- networks
+
+
+def parameter(name, shape):
+    """Weights uniform within Glorot's limit, biases within 0.1; rounded to float32."""
+    limit = math.sqrt(6 / (9 * (shape[0] + shape[1]))) if len(shape) == 4 else 0.1
+    return torch.tensor((limit * uniform(shape, f"golden/{name}")).astype(np.float32).astype(np.float64), requires_grad=True)
+
+
+class Net:
+    """Convolutions by name, created as they are first used."""
+
+    def __init__(self):
+        self.parameters = {}
+
+    def conv(self, name, x, cout, slope=0.1):
+        if f"{name}.weight" not in self.parameters:
+            self.parameters[f"{name}.weight"] = parameter(f"{name}.weight", (cout, x.shape[1], 3, 3))
+            self.parameters[f"{name}.bias"] = parameter(f"{name}.bias", (cout,))
+        y = F.conv2d(x, self.parameters[f"{name}.weight"], self.parameters[f"{name}.bias"], padding=1)
+        return y if slope is None else F.leaky_relu(y, float(np.float32(slope)))
+
+
+def up_cat(x, skip):
+    return torch.cat([F.interpolate(x, scale_factor=2, mode="nearest"), skip], 1)
+
+
+def seed(net, x):
+    skip1 = net.conv("enc_conv1b", net.conv("enc_conv1a", x, 32), 32)
+    skip2 = net.conv("enc_conv2", F.max_pool2d(skip1, 2), 43)
+    skip3 = net.conv("enc_conv3", F.max_pool2d(skip2, 2), 57)
+    skip4 = net.conv("enc_conv4", F.max_pool2d(skip3, 2), 76)
+    skip5 = net.conv("enc_conv5", F.max_pool2d(skip4, 2), 101)
+    y = net.conv("bottleneck", F.max_pool2d(skip5, 2), 101)
+    for level, skip, cout in [(5, skip5, 76), (4, skip4, 57), (3, skip3, 43), (2, skip2, 32)]:
+        y = net.conv(f"dec_conv{level}b", net.conv(f"dec_conv{level}a", up_cat(y, skip), cout), cout)
+    y = net.conv("dec_conv1b", net.conv("dec_conv1a", up_cat(y, skip1), 128), 64)
+    return net.conv("out_conv", y, 3, slope=None)
+
+
+def tiny(net, x):
+    skip = net.conv("enc", x, 3)
+    middle = net.conv("middle", F.max_pool2d(skip, 2), 4)
+    return net.conv("out", up_cat(middle, skip), 2, slope=None)
+
+
+def network_golden(out, name, build, batch, channels, h, w):
+    """Output, loss, gradients: norms of all, the biases' whole, the weights' first and last 32."""
+    net = Net()
+    case = f"{name}_n{batch}_h{h}_w{w}"
+    x = torch.tensor(uniform((batch, channels, h, w), f"{case}/input"), requires_grad=True)
+    y = build(net, x)
+    loss = F.l1_loss(y, torch.tensor(uniform(tuple(y.shape), f"{case}/target")))
+    loss.backward()
+    out[f"{case}/output"] = y.detach().numpy()
+    out[f"{case}/loss"] = np.array([loss.item()])
+    gradients = {key: value.grad.numpy() for key, value in net.parameters.items()} | {"input": x.grad.numpy()}
+    for key, gradient in gradients.items():
+        out[f"{case}/{key}.norm"] = np.array([np.linalg.norm(gradient)])
+        flat = gradient.ravel()
+        out[f"{case}/{key}.ends"] = flat if len(flat) <= 128 else np.concatenate([flat[:32], flat[-32:]])
+
+
+def adam_golden(out, steps=3):
+    """The tiny network and its losses over three steps of torch.optim.Adam, a new input for each."""
+    net = Net()
+    tiny(net, torch.zeros(1, 2, 4, 4))
+    optimiser = torch.optim.Adam(net.parameters.values(), lr=1e-3, betas=(0.9, 0.99), eps=1e-7)
+    losses = []
+    for step in range(steps):
+        optimiser.zero_grad()
+        y = tiny(net, torch.tensor(uniform((2, 2, 6, 4), f"adam/{step}/input")))
+        loss = F.l1_loss(y, torch.tensor(uniform((2, 2, 6, 4), f"adam/{step}/target")))
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+        flat = [value.detach().numpy().ravel() for value in net.parameters.values()]
+        out[f"adam/{step}/parameters"] = np.concatenate(flat)
+    out["adam/losses"] = np.array(losses)
+
+
+def main():
+    about = {"made_by": f"tests/golden/make_goldens.py with PyTorch {torch.__version__}, float64"}
+    layers, networks = {}, {}
+    for row in ROWS:
+        layer_golden(layers, *row)
+    network_golden(networks, "seed", seed, 1, 6, 32, 32)
+    network_golden(networks, "seed", seed, 2, 6, 64, 32)
+    network_golden(networks, "tiny", tiny, 3, 2, 6, 4)
+    adam_golden(networks)
+    for stem, tensors in [("layers", layers), ("networks", networks)]:
+        contiguous = {key: np.ascontiguousarray(value) for key, value in tensors.items()}
+        save_file(contiguous, HERE / f"{stem}.safetensors", metadata=about)
+
+
+if __name__ == "__main__":
+    main()
