@@ -60,12 +60,17 @@ layout(push_constant) uniform Push {
 const uint NONE = 0xffffffffu;
 const uint BLOCK_SIZE = 64u;
 const int CAMERA_ROWS = 4;
-const int PRIMITIVE_ROWS = 9;
+const int PRIMITIVE_ROWS = 10;
 const uint LIGHT_COUNT = SPHERE_LIGHT_COUNT + RECT_LIGHT_COUNT;
 const bool NEE = ESTIMATOR == ESTIMATOR_NEE && LIGHT_COUNT > 0u;
 // Does a ray after the last reflection's light sample still find light?
 const bool LAST_RAY = !NEE || RECT_LIGHT_COUNT > 0u || INWARD_LIGHT_COUNT > 0u;
 const bool LIT = LIGHT_COUNT + INWARD_LIGHT_COUNT > 0u;
+const bool ONE_LIGHT = LIGHT_COUNT + INWARD_LIGHT_COUNT == 1u;
+const uint ONE_LIGHT_ID = SPHERE_LIGHT_COUNT > 0u ? 0u : INWARD_LIGHT_COUNT > 0u ? INWARD_FIRST : SPHERE_COUNT;
+// All rectangles across an axis?
+const uint AXIS_BITS = RECT_COUNT >= 16u ? 0x55555555u : ((1u << (2u * RECT_COUNT)) - 1u) & 0x55555555u;
+const bool ALIGNED = PRELOAD && ((RECT_AXES | (RECT_AXES >> 1u)) & AXIS_BITS) == AXIS_BITS;
 
 vec4 row(uint id, int k) { return imageLoad(scene, CAMERA_ROWS + int(id) * PRIMITIVE_ROWS + k); }
 
@@ -79,6 +84,7 @@ const int DUAL_V = 5;
 const int HALF_U = 6;   // w: limit to which a hit is pulled inside
 const int HALF_V = 7;
 const int EXTENT = 8;   // across an axis: half extents, enlarged
+const int INNER = 9;    // across an axis: half extents to which a hit is pulled inside
 
 const uint SPHERES = SPHERE_COUNT > 0u ? SPHERE_COUNT : 1u;
 const uint RECTS = RECT_COUNT > 0u ? RECT_COUNT : 1u;
@@ -86,13 +92,27 @@ vec4 g_sphere[SPHERES];
 vec3 g_sphere_albedo[SPHERES];
 vec3 g_center[RECTS];
 vec3 g_extent[RECTS];
+vec3 g_inner[RECTS];
 vec3 g_normal[RECTS];
 vec3 g_rect_albedo[RECTS];
+vec4 g_light;
+vec3 g_light_radiance;
+vec3 g_right;
+vec3 g_up;
+vec3 g_forward;
 
 uint rect_axis(uint i) { return PRELOAD ? (RECT_AXES >> (2u * i)) & 3u : 0u; }
 bool rect_blocks(uint i) { return !PRELOAD || ((RECT_BLOCKERS >> i) & 1u) != 0u; }
 
+// Loads of the same address by all invocations are cheap here, before the loop, and dear inside.
 void preload() {
+    if (ONE_LIGHT) {
+        g_light = row(ONE_LIGHT_ID, GEOMETRY);
+        g_light_radiance = row(ONE_LIGHT_ID, RADIANCE).rgb;
+    }
+    g_right = imageLoad(scene, 1).xyz;
+    g_up = imageLoad(scene, 2).xyz;
+    g_forward = imageLoad(scene, 3).xyz;
     if (!PRELOAD) return;
     [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
         g_sphere[i] = row(i, GEOMETRY);
@@ -101,6 +121,7 @@ void preload() {
     [[unroll]] for (uint i = 0u; i < RECT_COUNT; ++i) {
         g_center[i] = row(SPHERE_COUNT + i, GEOMETRY).xyz;
         g_extent[i] = row(SPHERE_COUNT + i, EXTENT).xyz;
+        g_inner[i] = row(SPHERE_COUNT + i, INNER).xyz;
         g_normal[i] = row(SPHERE_COUNT + i, NORMAL).xyz;
         g_rect_albedo[i] = row(SPHERE_COUNT + i, ALBEDO).rgb;
     }
@@ -181,14 +202,24 @@ Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
         v.n = normalize(p - s.xyz);
         v.p = s.xyz + s.w * v.n;
         if (INWARD_FIRST < SPHERE_COUNT) v.n = id >= INWARD_FIRST ? -v.n : v.n;
+    } else if (ALIGNED) {
+        vec3 center = g_center[0], inner = g_inner[0];
+        v.n = g_normal[0];
+        v.albedo = g_rect_albedo[0];
+        [[unroll]] for (uint i = 1u; i < RECT_COUNT; ++i) {
+            bool mine = id == SPHERE_COUNT + i;
+            center = mine ? g_center[i] : center;
+            inner = mine ? g_inner[i] : inner;
+            v.n = mine ? g_normal[i] : v.n;
+            v.albedo = mine ? g_rect_albedo[i] : v.albedo;
+        }
+        v.p = clamp(p, center - inner, center + inner);
     } else {
-        vec3 center, u, w;
-        vec4 half_u, half_v;
-        center = row(id, GEOMETRY).xyz;
+        vec3 center = row(id, GEOMETRY).xyz;
         v.n = row(id, NORMAL).xyz;
         v.albedo = row(id, ALBEDO).rgb;
-        half_u = row(id, HALF_U);
-        half_v = row(id, HALF_V);
+        vec4 half_u = row(id, HALF_U);
+        vec4 half_v = row(id, HALF_V);
         vec3 f = p - center;
         float a = clamp(dot(f, row(id, DUAL_U).xyz), -half_u.w, half_u.w);
         float b = clamp(dot(f, row(id, DUAL_V).xyz), -half_v.w, half_v.w);
@@ -223,7 +254,7 @@ vec3 sample_light(Vertex v, vec2 u, float choice, inout uint rays) {
         light = SPHERE_COUNT;
     }
     if (light == v.id || share <= 0.0) return vec3(0.0);
-    vec4 g = row(light, GEOMETRY);
+    vec4 g = ONE_LIGHT ? g_light : row(light, GEOMETRY);
     vec3 wi;
     float t_light;
     float weight; // cos / (pi * pdf), with the balance heuristic where a bounce can find the light too
@@ -254,13 +285,13 @@ vec3 sample_light(Vertex v, vec2 u, float choice, inout uint rays) {
     if (!(weight > 0.0)) return vec3(0.0);
     rays += 1u;
     if (occluded(v.p, wi, t_light, v.id, light)) return vec3(0.0);
-    return weight * row(light, RADIANCE).rgb;
+    return weight * (ONE_LIGHT ? g_light_radiance : row(light, RADIANCE).rgb);
 }
 
 // Emission met by a ray; with light sampling only what that technique leaves to this one.
 vec3 emission(Vertex v, vec3 d, float t, float pdf_bounce, bool camera) {
     if (!LIT || !v.front || !emits(v.id)) return vec3(0.0);
-    vec4 radiance = row(v.id, RADIANCE);
+    vec4 radiance = ONE_LIGHT ? vec4(g_light_radiance, 1.0) : row(v.id, RADIANCE);
     float weight = 1.0;
     if (NEE && !camera) {
         if (v.id < SPHERE_LIGHT_COUNT) weight = 0.0;
@@ -281,7 +312,7 @@ bool invalid(vec3 x) { return max(floatBitsToUint(x.r), max(floatBitsToUint(x.g)
 
 vec3 camera_ray(vec2 film_position) {
     vec2 film = film_position * (2.0 / vec2(width, height)) - 1.0;
-    return normalize(imageLoad(scene, 3).xyz + film.x * imageLoad(scene, 1).xyz - film.y * imageLoad(scene, 2).xyz);
+    return normalize(g_forward + film.x * g_right - film.y * g_up);
 }
 
 // A new direction at the vertex; `weight` is cos / (pi * pdf).
@@ -300,8 +331,7 @@ vec3 sample_direction(Vertex v, vec2 u, out float weight, out float pdf) {
 
 // Screen-space normal (x right, y up, of the side that faces the camera), depth along the ray, hit.
 vec4 screen_values(vec3 n, float t) {
-    vec4 right = imageLoad(scene, 1);
-    return vec4(dot(n, normalize(right.xyz)), dot(n, normalize(imageLoad(scene, 2).xyz)), t * right.w, 1.0);
+    return vec4(dot(n, normalize(g_right)), dot(n, normalize(g_up)), t * imageLoad(scene, 1).w, 1.0);
 }
 
 void main() {
@@ -327,7 +357,9 @@ void main() {
     vertex.id = NONE;
 
     if (ANTIALIAS) {
-        if (sample_begin >= sample_end) return;
+        sum_albedo = aov_albedo[index].rgb;
+        sum_normal = aov_normal[index].xyz;
+        sum_screen = aov_screen[index];
         d = camera_ray(vec2(pixel) + random4(SAMPLER, key, sample_index, 0u).xy);
     } else {
         d = camera_ray(vec2(pixel) + 0.5);
@@ -447,9 +479,9 @@ void main() {
     block[index] = vec4(sum_block, 0.0);
     counts[index] += uvec4(rays, sample_end - sample_begin, bad, inexact);
     if (ANTIALIAS) {
-        aov_albedo[index] += vec4(sum_albedo, 0.0);
-        aov_normal[index] += vec4(sum_normal, 0.0);
-        aov_screen[index] += sum_screen;
+        aov_albedo[index] = vec4(sum_albedo, 0.0);
+        aov_normal[index] = vec4(sum_normal, 0.0);
+        aov_screen[index] = sum_screen;
     }
     if (VARIANCE) {
         batch[3u * index] = vec4(batch_sum, 0.0);

@@ -27,12 +27,13 @@ impl Renderer {
     pub fn outputs(&mut self) -> Result<Outputs> {
         self.resolve()?;
         let [albedo, normal_world, screen] = self.state.resolved.as_ref().unwrap_or(&self.state.aov);
+        let plane = |buffer: &Buffer| self.state.plane(buffer);
         Ok(Outputs {
-            radiance: self.state.radiance.all(),
-            albedo: albedo.all(),
-            normal_world: normal_world.all(),
-            screen: screen.all(),
-            variance: self.state.variance.as_ref().map(Buffer::all),
+            radiance: plane(&self.state.radiance),
+            albedo: plane(albedo),
+            normal_world: plane(normal_world),
+            screen: plane(screen),
+            variance: self.state.variance.as_ref().map(plane),
         })
     }
 

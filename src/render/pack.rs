@@ -9,7 +9,7 @@ use crate::scene::{Geometry, Scene, Shape};
 /// Rows of the camera before the first primitive.
 const CAMERA_ROWS: usize = 4;
 /// Rows of one primitive (glsl/path_trace.comp names them).
-const PRIMITIVE_ROWS: usize = 9;
+const PRIMITIVE_ROWS: usize = 10;
 
 /// Where the scene is and how large: its centre becomes the origin and `scale`, a power of two, brings its half extent into [1, 2).
 /// A power of two changes no bit of a mantissa, so scenes that differ by one give the same image.
@@ -131,9 +131,11 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
             rows.push(row(u.cross(v).normalize(), 0.0));
             rows.push(row(u / (lu * lu), test_u));
             rows.push(row(v / (lv * lv), test_v));
-            rows.push(row(u, (1.0 - offset / lu).max(0.0)));
-            rows.push(row(v, (1.0 - offset / lv).max(0.0)));
+            let (inner_u, inner_v) = ((1.0 - offset / lu).max(0.0), (1.0 - offset / lv).max(0.0));
+            rows.push(row(u, inner_u));
+            rows.push(row(v, inner_v));
             rows.push(row(u.abs() * test_u + v.abs() * test_v, 0.0));
+            rows.push(row(u.abs() * inner_u + v.abs() * inner_v, 0.0));
         }
     }
     rows.resize(begin + PRIMITIVE_ROWS, [0.0; 4]);

@@ -314,12 +314,71 @@ impl Renderer {
     pub fn stats(&self) -> Result<Stats> {
         let mut stats = self.stats.clone();
         if !self.clear_first {
-            for c in self.gpu.download::<[u32; 4]>(&self.state.counts.all())? {
+            for c in self.gpu.download::<[u32; 4]>(&self.state.plane(&self.state.counts))? {
                 stats.rays += u64::from(c[0]);
                 stats.samples += u64::from(c[1]);
                 stats.invalid += u64::from(c[2]);
             }
         }
         Ok(stats)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::DeviceOptions;
+    use crate::render::{Estimator, Sampler};
+    use crate::scene::family;
+
+    fn gpu() -> Gpu {
+        Gpu::new(&DeviceOptions { select: None, validation: true }).expect("a Vulkan device")
+    }
+
+    fn scene() -> Scene {
+        let mut scene = family::canonical();
+        (scene.camera.width, scene.camera.height) = (37, 61);
+        scene
+    }
+
+    /// Images larger than a device's storage range are cut into windows of rows: the same bits.
+    #[test]
+    fn windows_change_no_bit() {
+        let gpu = gpu();
+        for aa in [false, true] {
+            let settings = Settings { spp: 20, aa, variance: true, sampler: Sampler::Pcg, ..Settings::default() };
+            let mut whole = Renderer::new(&gpu, &scene(), &settings).expect("renderer");
+            let mut cut = Renderer::new(&gpu, &scene(), &settings).expect("renderer");
+            assert_eq!(whole.state.window_rows, 61);
+            // 16 rows of 37 pixels are 9,472 bytes, a multiple of 256.
+            cut.state.window_rows = 16;
+            whole.finish().expect("render");
+            cut.finish().expect("render");
+            assert!(cut.stats.dispatches >= 4);
+            assert_eq!(whole.image().expect("image"), cut.image().expect("image"));
+        }
+        assert_eq!(gpu.drain_validation(), Vec::<String>::new());
+    }
+
+    /// A NaN in the scene (which the checks keep out) reaches samples: dropped, counted, the image finite.
+    #[test]
+    fn invalid_samples_are_counted() {
+        let gpu = gpu();
+        for (value, estimator) in
+            [(f32::NAN, Estimator::Cosine), (f32::INFINITY, Estimator::Nee), (-1.0, Estimator::Nee)]
+        {
+            let settings = Settings { estimator, ..Settings::default() };
+            let mut renderer = Renderer::new(&gpu, &scene(), &settings).expect("renderer");
+            let mut rows = renderer.rows.clone();
+            rows[4 + 2][0] = value; // the radiance of the first light
+            gpu.upload(&renderer.scene.slice(0, std::mem::size_of_val(rows.as_slice()) as u64), &rows).expect("upload");
+            renderer.finish().expect("render");
+            let stats = renderer.stats().expect("stats");
+            assert!(stats.invalid > 1000, "{value}: {}", stats.invalid);
+            let image = renderer.image().expect("image");
+            assert_eq!(image.attributes["invalidSamples"], stats.invalid.to_string());
+            let (radiance, albedo) = (&image.channels["R"], &image.channels["albedo.R"]);
+            assert!(radiance.iter().zip(albedo).all(|(r, a)| *a == 0.0 || (r.is_finite() && *r >= 0.0)));
+        }
     }
 }

@@ -58,6 +58,11 @@ impl State {
         buffer.slice(u64::from(first) * row, u64::from(rows) * row)
     }
 
+    /// All pixels of a buffer with a vec4 a pixel; the buffer itself may be longer.
+    pub(super) fn plane(&self, buffer: &Buffer) -> Slice {
+        buffer.slice(0, u64::from(self.width) * u64::from(self.height) * VEC4_BYTES)
+    }
+
     fn window_or_dummy(&self, buffer: Option<&Buffer>, first: u32, size: u64) -> Slice {
         buffer.map_or_else(|| self.dummy.all(), |b| self.window(b, first, size))
     }
