@@ -108,9 +108,9 @@ impl Features {
         }
     }
 
-    /// Loop iterations of one path at most, inner loops included.
+    /// Loop iterations of one path at most, inner loops included: whether a driver unrolls them is its own affair.
     pub(super) fn iterations_per_path(&self) -> u32 {
-        let primitives = if self.preload { 0 } else { self.sphere_count + self.rect_count };
+        let primitives = self.sphere_count + self.rect_count;
         let lights = self.sphere_light_count + self.rect_light_count;
         let queries = if self.estimator == Estimator::Nee { 2 * primitives + lights } else { primitives };
         (self.bounces + 2) * (1 + queries)

@@ -209,7 +209,8 @@ impl Renderer {
         let row_end = (self.cursor.row + rows).min(window + self.state.window_rows).min(height);
         let ms = self.dispatch(window, self.cursor.row..row_end, self.cursor.begin..self.cursor.end)?;
         let paths = f64::from(row_end - self.cursor.row) * f64::from(width) * f64::from(samples);
-        self.rate = (paths / (ms * 1e-3).max(1e-6)).min(4.0 * self.rate);
+        // Slower counts at once, faster by half: a band of sky or of exact pixels says little about the next.
+        self.rate = (paths / (ms * 1e-3).max(1e-6)).min(1.5 * self.rate);
         self.stats.dispatches += 1;
         self.stats.longest_dispatch_ms = self.stats.longest_dispatch_ms.max(ms);
         self.cursor.row = row_end;

@@ -1,0 +1,170 @@
+// The scene in registers, closest hits and shadow tests.
+// Included by a shader that declares `scene` (rows of four floats, src/render/pack.rs) and the scene's specialization constants.
+#ifndef LIMPID_SCENE_GLSL
+#define LIMPID_SCENE_GLSL
+
+#include "lib/intersect.glsl"
+
+const uint NONE = 0xffffffffu;
+const int CAMERA_ROWS = 4;
+const int PRIMITIVE_ROWS = 10;
+
+vec4 row(uint id, int k) { return imageLoad(scene, CAMERA_ROWS + int(id) * PRIMITIVE_ROWS + k); }
+
+// Rows of a primitive.
+const int GEOMETRY = 0; // centre, radius (rectangle: area)
+const int ALBEDO = 1;   // w: 1 for an inward sphere
+const int RADIANCE = 2; // w: upper end of the light's share in the choice of lights
+const int NORMAL = 3;   // rectangles only from here
+const int DUAL_U = 4;
+const int DUAL_V = 5;
+const int HALF_U = 6;   // w: limit to which a hit is pulled inside
+const int HALF_V = 7;
+const int EXTENT = 8;   // across an axis: half extents, enlarged
+const int INNER = 9;    // across an axis: half extents to which a hit is pulled inside
+
+const uint SPHERES = SPHERE_COUNT > 0u ? SPHERE_COUNT : 1u;
+const uint RECTS = RECT_COUNT > 0u ? RECT_COUNT : 1u;
+vec4 g_sphere[SPHERES];
+vec3 g_sphere_albedo[SPHERES];
+vec3 g_center[RECTS];
+vec3 g_extent[RECTS];
+vec3 g_inner[RECTS];
+vec3 g_normal[RECTS];
+vec3 g_rect_albedo[RECTS];
+vec4 g_light;
+vec3 g_light_radiance;
+vec3 g_right;
+vec3 g_up;
+vec3 g_forward;
+
+uint rect_axis(uint i) { return PRELOAD ? (RECT_AXES >> (2u * i)) & 3u : 0u; }
+bool rect_blocks(uint i) { return !PRELOAD || ((RECT_BLOCKERS >> i) & 1u) != 0u; }
+
+// Loads of the same address by all invocations are cheap here, before the loop, and dear inside.
+void preload() {
+    if (ONE_LIGHT) {
+        g_light = row(ONE_LIGHT_ID, GEOMETRY);
+        g_light_radiance = row(ONE_LIGHT_ID, RADIANCE).rgb;
+    }
+    g_right = imageLoad(scene, 1).xyz;
+    g_up = imageLoad(scene, 2).xyz;
+    g_forward = imageLoad(scene, 3).xyz;
+    if (!PRELOAD) return;
+    [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
+        g_sphere[i] = row(i, GEOMETRY);
+        g_sphere_albedo[i] = row(i, ALBEDO).rgb;
+    }
+    [[unroll]] for (uint i = 0u; i < RECT_COUNT; ++i) {
+        g_center[i] = row(SPHERE_COUNT + i, GEOMETRY).xyz;
+        g_extent[i] = row(SPHERE_COUNT + i, EXTENT).xyz;
+        g_inner[i] = row(SPHERE_COUNT + i, INNER).xyz;
+        g_normal[i] = row(SPHERE_COUNT + i, NORMAL).xyz;
+        g_rect_albedo[i] = row(SPHERE_COUNT + i, ALBEDO).rgb;
+    }
+}
+
+vec4 sphere_at(uint i) { return PRELOAD ? g_sphere[i] : row(i, GEOMETRY); }
+
+float hit_rect_at(uint i, vec3 o, vec3 d, vec3 reciprocal) {
+    if (PRELOAD && rect_axis(i) != 0u) return hit_aligned(o, d, reciprocal, rect_axis(i) - 1u, g_center[i], g_extent[i]);
+    uint id = SPHERE_COUNT + i;
+    return hit_rectangle(o, d, row(id, GEOMETRY).xyz, row(id, NORMAL).xyz, row(id, DUAL_U), row(id, DUAL_V));
+}
+
+// A point on a surface, moved off it along the normal, and what the path needs there.
+struct Vertex {
+    vec3 p;
+    vec3 n;
+    vec3 albedo;
+    uint id;
+    bool front;
+};
+
+// Closest hit; `skip` is the convex primitive that the ray leaves.
+uint closest_hit(vec3 o, vec3 d, uint skip, inout float best) {
+    uint id = NONE;
+    [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
+        bool inward = i >= INWARD_FIRST;
+        float t = hit_sphere(o, d, sphere_at(i), inward || CAMERA_INSIDE);
+        bool closer = t > 0.0 && t < best && (inward || i != skip);
+        best = closer ? t : best;
+        id = closer ? i : id;
+    }
+    vec3 reciprocal = 1.0 / d;
+    [[unroll]] for (uint i = 0u; i < RECT_COUNT; ++i) {
+        float t = hit_rect_at(i, o, d, reciprocal);
+        bool closer = t > 0.0 && t < best && SPHERE_COUNT + i != skip;
+        best = closer ? t : best;
+        id = closer ? SPHERE_COUNT + i : id;
+    }
+    return id;
+}
+
+// Is anything between a surface and a light? Neither the receiver nor the light blocks: both are convex.
+bool occluded(vec3 o, vec3 d, float t_max, uint receiver, uint light) {
+    bool blocked = false;
+    [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
+        if (LIGHT_COUNT == 1u && SPHERE_LIGHT_COUNT == 1u && i == 0u) continue;
+        bool inward = i >= INWARD_FIRST;
+        bool hit = blocks_sphere(o, d, t_max, sphere_at(i), inward);
+        blocked = blocked || (hit && i != light && (inward || i != receiver));
+    }
+    vec3 reciprocal = 1.0 / d;
+    [[unroll]] for (uint i = 0u; i < RECT_COUNT; ++i) {
+        if (!rect_blocks(i)) continue;
+        float t = hit_rect_at(i, o, d, reciprocal);
+        blocked = blocked || (t > 0.0 && t < t_max && SPHERE_COUNT + i != light && SPHERE_COUNT + i != receiver);
+    }
+    return blocked;
+}
+
+// The hit, pulled back onto its surface: a ray's far end is less exact than the surface is.
+Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
+    Vertex v;
+    v.id = id;
+    bool rect = RECT_COUNT > 0u && (SPHERE_COUNT == 0u || id >= SPHERE_COUNT);
+    if (SPHERE_COUNT > 0u && !rect) {
+        vec4 s = sphere_at(0u);
+        v.albedo = g_sphere_albedo[0];
+        if (PRELOAD) {
+            [[unroll]] for (uint i = 1u; i < SPHERE_COUNT; ++i) {
+                s = id == i ? g_sphere[i] : s;
+                v.albedo = id == i ? g_sphere_albedo[i] : v.albedo;
+            }
+        } else {
+            s = row(id, GEOMETRY);
+            v.albedo = row(id, ALBEDO).rgb;
+        }
+        v.n = normalize(p - s.xyz);
+        v.p = s.xyz + s.w * v.n;
+        if (INWARD_FIRST < SPHERE_COUNT) v.n = id >= INWARD_FIRST ? -v.n : v.n;
+    } else if (ALIGNED) {
+        vec3 center = g_center[0], inner = g_inner[0];
+        v.n = g_normal[0];
+        v.albedo = g_rect_albedo[0];
+        [[unroll]] for (uint i = 1u; i < RECT_COUNT; ++i) {
+            bool mine = id == SPHERE_COUNT + i;
+            center = mine ? g_center[i] : center;
+            inner = mine ? g_inner[i] : inner;
+            v.n = mine ? g_normal[i] : v.n;
+            v.albedo = mine ? g_rect_albedo[i] : v.albedo;
+        }
+        v.p = clamp(p, center - inner, center + inner);
+    } else {
+        vec3 center = row(id, GEOMETRY).xyz;
+        v.n = row(id, NORMAL).xyz;
+        v.albedo = row(id, ALBEDO).rgb;
+        vec4 half_u = row(id, HALF_U);
+        vec4 half_v = row(id, HALF_V);
+        vec3 f = p - center;
+        float a = clamp(dot(f, row(id, DUAL_U).xyz), -half_u.w, half_u.w);
+        float b = clamp(dot(f, row(id, DUAL_V).xyz), -half_v.w, half_v.w);
+        v.p = center + a * half_u.xyz + b * half_v.xyz;
+    }
+    v.front = dot(d, v.n) < 0.0;
+    v.p += offset * v.n;
+    return v;
+}
+
+#endif
