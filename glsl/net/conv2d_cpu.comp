@@ -28,8 +28,8 @@ layout(push_constant) uniform Push {
     uint window_row;       // first row of the output window, over all images
 };
 
-layout(constant_id = 2) const int TW = 6;             // tile, pixels
-layout(constant_id = 3) const int TH = 4;
+const int TW = 6;  // tile, pixels
+const int TH = 4;
 const int PW = TW + 2;
 const int PATCH = PW * (TH + 2);
 const int LOADS = PATCH / int(L);
@@ -65,15 +65,20 @@ void main() {
         [[unroll]] for (int k = 0; k < LOADS; ++k) {
             r[k] = mix(vec4(0.0), imageLoad(x, base[k] + c), bvec4(inside[k]));
         }
-        [[unroll]] for (int t = 0; t < 9; ++t) {
-            const vec4 w = imageLoad(weight, w_at + t * int(L));
-            [[unroll]] for (int i = 0; i < TW * TH; ++i) {
-                const int q = (i / TW + t / 3) * PW + i % TW + t % 3;
-                const vec4 v = subgroupShuffle(r[q / int(L)], uint(q % int(L)));
-                acc[i] += w.x * v.x;
-                acc[i] += w.y * v.y;
-                acc[i] += w.z * v.z;
-                acc[i] += w.w * v.w;
+        vec4 w[9];
+        [[unroll]] for (int t = 0; t < 9; ++t) w[t] = imageLoad(weight, w_at + t * int(L));
+        // A row's sums, three weights and a few pixels at a time: few enough to stay in 16 registers.
+        [[unroll]] for (int row = 0; row < TH; ++row) {
+            [[unroll]] for (int ci = 0; ci < 4; ++ci) {
+                [[unroll]] for (int ky = 0; ky < 3; ++ky) {
+                    [[unroll]] for (int column = 0; column < TW; ++column) {
+                        [[unroll]] for (int kx = 0; kx < 3; ++kx) {
+                            const int q = (row + ky) * PW + column + kx;
+                            const float v = subgroupShuffle(r[q / int(L)][ci], uint(q % int(L)));
+                            acc[row * TW + column] += w[ky * 3 + kx][ci] * v;
+                        }
+                    }
+                }
             }
         }
         w_at += 9 * int(L);

@@ -66,17 +66,21 @@ void main() {
                 const int at = ok ? base[k] + int((row + 1) * width * cin4) : 0;
                 r[2][k] = mix(vec4(0.0), imageLoad(x, at), bvec4(ok));
             }
+            float d[OUT];
             [[unroll]] for (int j = 0; j < OUT / 4; ++j) {
                 const bool ok = co_alive && uint(x0 / 4 + j) < w4;
-                const vec4 d = mix(vec4(0.0), imageLoad(dyt, ok ? dy_at + j : 0), bvec4(ok));
-                [[unroll]] for (int p = 0; p < 4; ++p) {
-                    [[unroll]] for (int t = 0; t < 9; ++t) {
-                        const int q = j * 4 + p + t % 3;
-                        const vec4 v = subgroupShuffle(r[t / 3][q / int(L)], uint(q % int(L)));
-                        acc[t * 4 + 0] += d[p] * v.x;
-                        acc[t * 4 + 1] += d[p] * v.y;
-                        acc[t * 4 + 2] += d[p] * v.z;
-                        acc[t * 4 + 3] += d[p] * v.w;
+                const vec4 four = mix(vec4(0.0), imageLoad(dyt, ok ? dy_at + j : 0), bvec4(ok));
+                [[unroll]] for (int p = 0; p < 4; ++p) d[j * 4 + p] = four[p];
+            }
+            // Three accumulators and three neighbouring pixels at a time: few enough to stay in registers.
+            [[unroll]] for (int ky = 0; ky < 3; ++ky) {
+                [[unroll]] for (int ci = 0; ci < 4; ++ci) {
+                    [[unroll]] for (int p = 0; p < OUT; ++p) {
+                        [[unroll]] for (int kx = 0; kx < 3; ++kx) {
+                            const int q = p + kx;
+                            const float v = subgroupShuffle(r[ky][q / int(L)][ci], uint(q % int(L)));
+                            acc[(ky * 3 + kx) * 4 + ci] += d[p] * v;
+                        }
                     }
                 }
             }

@@ -18,6 +18,7 @@ mod state;
 
 pub use features::Features;
 pub use output::Outputs;
+pub use pack::FilmWindow;
 pub use probe::loop_limit;
 pub use renderer::{Progress, Renderer, Stats};
 pub use settings::{Estimator, Sampler, Settings};

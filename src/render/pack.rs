@@ -48,15 +48,28 @@ pub(super) fn order(scene: &Scene) -> Vec<usize> {
     indices
 }
 
-/// The rows of a checked scene.
-pub(super) fn pack(scene: &Scene) -> Result<Vec<[f32; 4]>> {
+/// A part of a larger picture: the camera's image is `width` x `height` pixels, of which the render shows those from `x`, `y`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FilmWindow {
+    /// Width of the whole picture, pixels; the camera's horizontal field of view spans it.
+    pub width: u32,
+    /// Height of the whole picture, pixels.
+    pub height: u32,
+    /// First column shown.
+    pub x: u32,
+    /// First row shown.
+    pub y: u32,
+}
+
+/// The rows of a checked scene. With a window, the scene's camera has the window's size.
+pub(super) fn pack(scene: &Scene, window: Option<FilmWindow>) -> Result<Vec<[f32; 4]>> {
     scene.validate()?;
     let frame = Frame::of(scene);
     let extent = frame.half_extent * frame.scale;
     let offset = 2e-5 * extent;
     let order = order(scene);
     let mut rows = Vec::with_capacity(CAMERA_ROWS + PRIMITIVE_ROWS * order.len().max(1));
-    pack_camera(scene, &frame, offset, &mut rows);
+    pack_camera(scene, window, &frame, offset, &mut rows);
     let power: Vec<f64> =
         order.iter().map(|&i| if sampled(&scene.shapes[i]) { power(&scene.shapes[i]) } else { 0.0 }).collect();
     let total: f64 = power.iter().sum();
@@ -98,16 +111,23 @@ fn row(v: DVec3, w: f64) -> [f32; 4] {
     [v.x as f32, v.y as f32, v.z as f32, w as f32]
 }
 
-fn pack_camera(scene: &Scene, frame: &Frame, offset: f64, rows: &mut Vec<[f32; 4]>) {
+fn pack_camera(scene: &Scene, window: Option<FilmWindow>, frame: &Frame, offset: f64, rows: &mut Vec<[f32; 4]>) {
     let camera = &scene.camera;
+    let (w, h) = (camera.width, camera.height);
+    let film = window.unwrap_or(FilmWindow { width: w, height: h, x: 0, y: 0 });
     let axes = DMat3::from_mat4(camera.to_world);
     let half_width = (0.5 * camera.fov_x_degrees.to_radians()).tan();
-    let half_height = half_width * f64::from(camera.height) / f64::from(camera.width);
+    let half_height = half_width * f64::from(film.height) / f64::from(film.width);
+    let (right, up) = (axes.x_axis * half_width, axes.y_axis * half_height);
+    // Scale and centre of the window on the whole film, which is [-1, 1].
+    let (scale_x, scale_y) = (f64::from(w) / f64::from(film.width), f64::from(h) / f64::from(film.height));
+    let center_x = (2.0 * f64::from(film.x) + f64::from(w)) / f64::from(film.width) - 1.0;
+    let center_y = 1.0 - (2.0 * f64::from(film.y) + f64::from(h)) / f64::from(film.height);
     let eye = (camera.to_world.w_axis.truncate() - frame.center) * frame.scale;
     rows.push(row(eye, offset));
-    rows.push(row(axes.x_axis * half_width, 1.0 / frame.scale));
-    rows.push(row(axes.y_axis * half_height, 0.0));
-    rows.push(row(-axes.z_axis, 0.0));
+    rows.push(row(right * scale_x, 1.0 / frame.scale));
+    rows.push(row(up * scale_y, 0.0));
+    rows.push(row(right * center_x + up * center_y - axes.z_axis, 0.0));
 }
 
 fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64, rows: &mut Vec<[f32; 4]>) {

@@ -1,7 +1,7 @@
 //! Runs the kernels in dispatches that respect the device's limits of time and of loops.
 
 use super::features::Features;
-use super::pack::pack;
+use super::pack::{FilmWindow, pack};
 use super::probe::loop_limit;
 use super::settings::Settings;
 use super::state::{Cursor, State};
@@ -93,7 +93,7 @@ impl Renderer {
     /// Checks the scene, creates pipelines and buffers, uploads.
     pub fn new(gpu: &Gpu, scene: &Scene, settings: &Settings) -> Result<Self> {
         settings.check()?;
-        let rows = pack(scene)?;
+        let rows = pack(scene, None)?;
         let features = Features::new(scene, settings);
         let before = gpu.pipeline_ms();
         let trace = gpu.kernel::<shaders::path_trace::Shader>(&features.path_trace_spec())?;
@@ -133,7 +133,12 @@ impl Renderer {
 
     /// Sets another scene of the same size and features and starts over; only uploads.
     pub fn set_scene(&mut self, scene: &Scene) -> Result<()> {
-        let rows = pack(scene)?;
+        self.set_scene_window(scene, None)
+    }
+
+    /// The same, showing a part of a larger picture.
+    pub fn set_scene_window(&mut self, scene: &Scene, window: Option<FilmWindow>) -> Result<()> {
+        let rows = pack(scene, window)?;
         let features = Features::new(scene, &self.settings);
         if features != self.features
             || (scene.camera.width, scene.camera.height) != (self.state.width, self.state.height)

@@ -64,25 +64,9 @@ impl Step {
         let like_parameters = |name| gpu.buffer(name, parameters.flat.bytes());
         let (mean, mean_square) = (like_parameters("Adam mean")?, like_parameters("Adam mean square")?);
         let factors = gpu.buffer("Adam factors", 8)?;
-        let mut rec = gpu.recorder();
-        plan.record(&mut rec, &parameters)?;
-        record_loss(gpu, &mut rec, plan.output(), &target, backward.output_gradient(), &loss)?;
-        backward.record(&mut rec, &parameters, &plan)?;
-        let kernel = gpu.kernel::<shaders::adam::Shader>(&Default::default())?;
-        let count = (parameters.padded_len() / 4) as u32;
-        let push = AdamPush { count, beta1: adam.beta1 as f32, beta2: adam.beta2 as f32, epsilon: adam.epsilon as f32 };
-        let bind = shaders::adam::Bind {
-            gradient: backward.flat.all(),
-            step_factors: factors.all(),
-            parameter: parameters.flat.all(),
-            first_moment: mean.all(),
-            second_moment: mean_square.all(),
-        };
-        rec.dispatch(&kernel, &bind, &push, groups(u64::from(count)));
-        parameters.record_pack(&mut rec)?;
-        let commands = rec.finish()?;
+        let commands = gpu.recorder().finish()?;
         let gpu = gpu.clone();
-        Ok(Self {
+        let mut this = Self {
             gpu,
             parameters,
             plan,
@@ -95,7 +79,32 @@ impl Step {
             adam,
             steps_done: 0,
             commands,
-        })
+        };
+        let mut rec = this.gpu.recorder();
+        this.record(&mut rec)?;
+        this.commands = rec.finish()?;
+        Ok(this)
+    }
+
+    /// Records one whole step.
+    pub fn record(&self, rec: &mut Recorder) -> Result<()> {
+        let (gpu, parameters) = (&self.gpu, &self.parameters);
+        self.plan.record(rec, parameters)?;
+        record_loss(gpu, rec, self.plan.output(), &self.target, self.backward.output_gradient(), &self.loss)?;
+        self.backward.record(rec, parameters, &self.plan)?;
+        let kernel = gpu.kernel::<shaders::adam::Shader>(&Default::default())?;
+        let count = (parameters.padded_len() / 4) as u32;
+        let adam = self.adam;
+        let push = AdamPush { count, beta1: adam.beta1 as f32, beta2: adam.beta2 as f32, epsilon: adam.epsilon as f32 };
+        let bind = shaders::adam::Bind {
+            gradient: self.backward.flat.all(),
+            step_factors: self.factors.all(),
+            parameter: parameters.flat.all(),
+            first_moment: self.mean.all(),
+            second_moment: self.mean_square.all(),
+        };
+        rec.dispatch(&kernel, &bind, &push, groups(u64::from(count)));
+        parameters.record_pack(rec)
     }
 
     /// Where the batch's network inputs go.

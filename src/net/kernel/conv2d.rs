@@ -30,11 +30,7 @@ push_block! {
 }
 
 /// Tile of `conv2d_cpu.comp`, pixels.
-fn tile() -> (u32, u32) {
-    let v = std::env::var("TILE").unwrap_or("6,4".into());
-    let (a, b) = v.split_once(',').unwrap();
-    (a.parse().unwrap(), b.parse().unwrap())
-}
+const TILE: (u32, u32) = (6, 4);
 /// Invocations of a workgroup of `conv2d_cpu.comp`.
 const LOCAL: u32 = 64;
 
@@ -175,9 +171,7 @@ fn record_portable(gpu: &Gpu, rec: &mut Recorder, pass: &Pass<'_>) -> Result<()>
 }
 
 fn record_cpu(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Result<()> {
-    #[allow(non_snake_case)]
-    let TILE = tile();
-    let spec = shaders::conv2d_cpu::Spec { l: lanes, slope: pass.slope, tw: TILE.0 as i32, th: TILE.1 as i32 };
+    let spec = shaders::conv2d_cpu::Spec { l: lanes, slope: pass.slope };
     let kernel = gpu.kernel_with_subgroup::<shaders::conv2d_cpu::Shader>(&spec, lanes)?;
     let shape = pass.y.shape;
     let cout4 = shape.c.texels();

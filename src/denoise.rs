@@ -1,0 +1,215 @@
+//! Reconstruction: frame -> network input -> network -> frame, all on the device.
+
+use crate::gpu::{Buffer, Commands, Gpu, Recorder, Slice, Timings};
+use crate::net::device::{groups, windows};
+use crate::net::kernel::Family;
+use crate::net::parameters::Parameters;
+use crate::net::plan::{Fusion, Memory, Plan};
+use crate::net::weights::Weights;
+use crate::{Error, Result, push_block, shaders};
+
+push_block! {
+    /// Push constants of `frame_bins.comp`.
+    pub struct BinsPush for shaders::frame_bins { width: u32, height: u32 }
+}
+push_block! {
+    /// Push constants of `frame_join.comp`.
+    pub struct JoinPush for shaders::frame_join { count: u32, last: u32 }
+}
+push_block! {
+    /// Push constants of `network_input.comp`.
+    pub struct InputPush for shaders::network_input {
+        begin: u32, count: u32, width: i32, height: i32, crop_width: i32, crop_height: i32, x0: i32, y0: i32, orientation: u32,
+    }
+}
+push_block! {
+    /// Push constants of `network_output.comp`.
+    pub struct OutputPush for shaders::network_output { begin: u32, count: u32, width: u32, padded_width: u32 }
+}
+
+/// Metadata key and value of the inputs that `network_input.comp` makes.
+pub const INPUTS: (&str, &str) = ("inputs", "radiance,normal_screen.xy,depth");
+/// Metadata key and value of the transfer in `transfer.glsl`.
+pub const TRANSFER: (&str, &str) = ("transfer", "log1p");
+
+/// The weights that are part of the program.
+const EMBEDDED: &[u8] = include_bytes!("../weights/seed.safetensors");
+
+/// The weights that limpid was shipped with.
+pub fn embedded_weights() -> Result<Weights> {
+    Weights::from_bytes(EMBEDDED, "embedded weights", None)
+}
+
+/// Refuses weights whose inputs or transfer differ from what this version makes.
+pub fn check_weights(weights: &Weights, file: &str) -> Result<()> {
+    for (key, expected) in [INPUTS, TRANSFER] {
+        let found = weights.metadata.get(key).map_or("none", String::as_str);
+        if found != expected {
+            return Err(Error::input(format!("{file}: metadata `{key}`: expected `{expected}`, found `{found}`")));
+        }
+    }
+    Ok(())
+}
+
+/// Buffers for the exposure and the depth scale of frames of one size.
+pub struct FrameStats {
+    gpu: Gpu,
+    size: (u32, u32),
+    bins: [Buffer; 2],
+}
+
+impl FrameStats {
+    /// Buffers for frames of `width` x `height` pixels.
+    pub fn new(gpu: &Gpu, width: u32, height: u32) -> Result<Self> {
+        let count = u64::from(width.div_ceil(16)) * u64::from(height.div_ceil(16));
+        let bins = [gpu.buffer("bins", count * 16)?, gpu.buffer("joined bins", count.div_ceil(256) * 16)?];
+        Ok(Self { gpu: gpu.clone(), size: (width, height), bins })
+    }
+
+    /// Records (exposure, 1 / depth, 0, 0) of a frame into `out`, 16 bytes.
+    pub fn record(&self, rec: &mut Recorder, radiance: &Slice, screen: &Slice, out: &Slice) -> Result<()> {
+        let (width, height) = self.size;
+        let mut count = width.div_ceil(16) * height.div_ceil(16);
+        let kernel = self.gpu.kernel::<shaders::frame_bins::Shader>(&Default::default())?;
+        let bins = self.bins[0].slice(0, u64::from(count) * 16);
+        let bind = shaders::frame_bins::Bind { radiance: radiance.clone(), screen: screen.clone(), bins };
+        rec.dispatch(&kernel, &bind, &BinsPush { width, height }, groups(u64::from(count)));
+        let kernel = self.gpu.kernel::<shaders::frame_join::Shader>(&Default::default())?;
+        let mut from = 0;
+        loop {
+            let joined = count.div_ceil(256);
+            let bins = self.bins[from].slice(0, u64::from(count) * 16);
+            let to = if joined == 1 { out.clone() } else { self.bins[1 - from].slice(0, u64::from(joined) * 16) };
+            let push = JoinPush { count, last: u32::from(joined == 1) };
+            rec.dispatch(&kernel, &shaders::frame_join::Bind { bins, joined: to }, &push, groups(u64::from(joined)));
+            if joined == 1 {
+                return Ok(());
+            }
+            count = joined;
+            from = 1 - from;
+        }
+    }
+}
+
+/// A part of a frame, mirrored or turned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Crop {
+    /// First column.
+    pub x: u32,
+    /// First row.
+    pub y: u32,
+    /// Columns of the result.
+    pub width: u32,
+    /// Rows of the result.
+    pub height: u32,
+    /// Bit 0 mirrors x, bit 1 mirrors y, bit 2 swaps x and y (square crops only).
+    pub orientation: u32,
+}
+
+/// Records the network's input for a crop of a frame of `size`; what lies past the frame is zero.
+pub fn record_input(
+    gpu: &Gpu,
+    rec: &mut Recorder,
+    frame: [&Slice; 3],
+    size: (u32, u32),
+    crop: Crop,
+    out: &Slice,
+) -> Result<()> {
+    let [radiance, screen, stats] = frame;
+    let kernel = gpu.kernel::<shaders::network_input::Shader>(&Default::default())?;
+    for (begin, texels) in windows(gpu.info(), u64::from(crop.width) * u64::from(crop.height) * 2) {
+        let push = InputPush {
+            begin: (begin / 2) as u32,
+            count: (texels / 2) as u32,
+            width: size.0 as i32,
+            height: size.1 as i32,
+            crop_width: crop.width as i32,
+            crop_height: crop.height as i32,
+            x0: crop.x as i32,
+            y0: crop.y as i32,
+            orientation: crop.orientation,
+        };
+        let y = out.slice(begin * 16, texels * 16);
+        let bind = shaders::network_input::Bind {
+            radiance: radiance.clone(),
+            screen: screen.clone(),
+            stats: stats.clone(),
+            y,
+        };
+        rec.dispatch(&kernel, &bind, &push, groups(texels / 2));
+    }
+    Ok(())
+}
+
+/// A network made ready for frames of one size.
+pub struct Denoiser {
+    gpu: Gpu,
+    size: (u32, u32),
+    family: Family,
+    parameters: Parameters,
+    plan: Plan,
+    frame_stats: FrameStats,
+    stats: Buffer,
+    result: Buffer,
+}
+
+impl Denoiser {
+    /// Tensors for frames of `width` x `height` pixels.
+    pub fn new(gpu: &Gpu, weights: &Weights, width: u32, height: u32) -> Result<Self> {
+        let family = Family::choose(gpu.info());
+        let parameters = Parameters::new(gpu, family, weights, false)?;
+        let padded = |size: u32| weights.architecture.padded(size as usize) as u32;
+        let size = (1, padded(height), padded(width));
+        let plan = Plan::new(gpu, &weights.architecture, size, Memory::Shared, Fusion::Activation)?;
+        Ok(Self {
+            gpu: gpu.clone(),
+            size: (width, height),
+            family,
+            parameters,
+            plan,
+            frame_stats: FrameStats::new(gpu, width, height)?,
+            stats: gpu.buffer("frame stats", 16)?,
+            result: gpu.buffer("reconstruction", u64::from(width) * u64::from(height) * 16)?,
+        })
+    }
+
+    /// The kernels in use.
+    #[must_use]
+    pub fn family(&self) -> Family {
+        self.family
+    }
+
+    /// Records the reconstruction of a frame: `radiance` (rgb, exact) and `screen` (normal x, y, depth, hit), four floats
+    /// a pixel, as [`crate::render::Outputs`] has them.
+    pub fn record(&self, radiance: &Slice, screen: &Slice) -> Result<Commands> {
+        let mut rec = self.gpu.recorder();
+        let (width, height) = self.size;
+        let stats = self.stats.slice(0, 16);
+        self.frame_stats.record(&mut rec, radiance, screen, &stats)?;
+        let s = self.plan.input().shape;
+        let crop = Crop { x: 0, y: 0, width: s.w, height: s.h, orientation: 0 };
+        let input = &self.plan.input().slice;
+        record_input(&self.gpu, &mut rec, [radiance, screen, &stats], self.size, crop, input)?;
+        self.plan.record(&mut rec, &self.parameters)?;
+        let kernel = self.gpu.kernel::<shaders::network_output::Shader>(&Default::default())?;
+        for (begin, count) in windows(self.gpu.info(), u64::from(width) * u64::from(height)) {
+            let push = OutputPush { begin: begin as u32, count: count as u32, width, padded_width: s.w };
+            let bind = shaders::network_output::Bind {
+                network: self.plan.output().slice.clone(),
+                radiance: radiance.clone(),
+                stats: stats.clone(),
+                y: self.result.slice(begin * 16, count * 16),
+            };
+            rec.dispatch(&kernel, &bind, &push, groups(count));
+        }
+        rec.finish()
+    }
+
+    /// Reconstructs a frame; the planes r, g, b and the times.
+    pub fn run(&self, radiance: &Slice, screen: &Slice) -> Result<([Vec<f32>; 3], Timings)> {
+        let timings = self.record(radiance, screen)?.run()?;
+        let count = u64::from(self.size.0) * u64::from(self.size.1);
+        let pixels: Vec<[f32; 4]> = self.gpu.download(&self.result.slice(0, count * 16))?;
+        Ok((std::array::from_fn(|c| pixels.iter().map(|p| p[c]).collect()), timings))
+    }
+}
