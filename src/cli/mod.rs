@@ -12,6 +12,7 @@ mod render;
 mod report;
 mod scene;
 mod stop;
+mod train;
 
 use clap::{Parser, Subcommand};
 use limpid::Result;
@@ -36,6 +37,7 @@ enum Command {
     Denoise(denoise::Args),
     Compare(compare::Args),
     Scene(scene::Args),
+    Train(Box<train::Args>),
     Devices(devices::Args),
 }
 
@@ -46,6 +48,7 @@ pub fn run(cli: &Cli) -> Result<u8> {
         Command::Denoise(args) => denoise::run(args),
         Command::Compare(args) => compare::run(args),
         Command::Scene(args) => scene::run(args),
+        Command::Train(args) => train::run(args),
         Command::Devices(args) => devices::run(args),
     }
 }

@@ -15,6 +15,8 @@ pub struct Progress {
     start: Instant,
     /// Share that was done before the start.
     first: f64,
+    /// Shown before the rate.
+    note: String,
     last_line: Instant,
 }
 
@@ -32,7 +34,14 @@ impl Progress {
         if bar.is_none() {
             line(label);
         }
-        Self { label: label.to_owned(), bar, start: Instant::now(), first: 0.0, last_line: Instant::now() }
+        Self {
+            label: label.to_owned(),
+            bar,
+            start: Instant::now(),
+            first: 0.0,
+            note: String::new(),
+            last_line: Instant::now(),
+        }
     }
 
     /// Says that this share of the work is done already.
@@ -41,11 +50,16 @@ impl Progress {
         self.start = Instant::now();
     }
 
+    /// Sets a text to show before the rate.
+    pub fn note(&mut self, text: String) {
+        self.note = text;
+    }
+
     /// Shows that `fraction` (0 to 1) of `amount` samples, steps or whatever `unit` says is done.
     pub fn update(&mut self, fraction: f64, amount: f64, unit: &str) {
         let speed = (fraction - self.first).max(1e-12) / self.start.elapsed().as_secs_f64().max(1e-9);
         let left = duration((1.0 - fraction) / speed);
-        let message = format!("{}{unit}/s, {left} left", scaled(speed * amount));
+        let message = format!("{}{}{unit}/s, {left} left", self.note, scaled(speed * amount));
         if let Some(bar) = &self.bar {
             bar.set_position((fraction * STEPS) as u64);
             bar.set_message(message);

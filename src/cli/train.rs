@@ -1,8 +1,9 @@
 //! `limpid train`: trains a network on scenes that it renders as it goes.
 
-use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
-use limpid::gpu::{DeviceOptions, Gpu};
+use super::device::DeviceArgs;
+use super::progress::{Progress, line};
+use super::stop::Stop;
+use limpid::gpu::Gpu;
 use limpid::image::file::{writable, write_atomically};
 use limpid::net::architecture::Architecture;
 use limpid::net::weights::Weights;
@@ -13,18 +14,16 @@ use limpid::{Error, Result};
 use serde_json::json;
 use sha2::{Digest, Sha256};
 use std::fs::File;
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Train a network on scenes of the family, rendered on the device as training goes.
 ///
 /// Writes the weights to OUT.safetensors, one JSON line a step to OUT.log.jsonl and, every two minutes and where it is
 /// stopped, a checkpoint to OUT.checkpoint, from which `--resume` goes on to the same bits.
-#[derive(Args, Debug)]
-pub struct TrainArgs {
+#[derive(Debug, clap::Args)]
+pub struct Args {
     /// Weights file to write.
     #[arg(short, long, value_name = "OUT.safetensors", required_unless_present = "verify")]
     output: Option<PathBuf>,
@@ -73,18 +72,16 @@ pub struct TrainArgs {
     /// Repeat the first 20 steps of the run that made these weights and compare the losses bit for bit.
     #[arg(long, value_name = "WEIGHTS", conflicts_with_all = ["steps", "minutes"])]
     verify: Option<PathBuf>,
-    /// Vulkan device: index or part of its name.
-    #[arg(long)]
-    device: Option<String>,
+    #[command(flatten)]
+    device: DeviceArgs,
     /// Print one JSON object at the end.
     #[arg(long)]
     json: bool,
 }
 
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(120);
-const LINE_EVERY: Duration = Duration::from_secs(10);
 
-impl TrainArgs {
+impl Args {
     fn data(&self) -> DataSettings {
         DataSettings {
             seed: self.seed,
@@ -109,11 +106,10 @@ impl TrainArgs {
     }
 }
 
-/// Runs the command; `stop` is set by SIGINT and SIGTERM.
-pub fn run(args: &TrainArgs, stop: &Arc<AtomicBool>) -> Result<()> {
-    let gpu = Gpu::new(&DeviceOptions { select: args.device.clone(), validation: false })?;
+/// Runs the command; the result is the exit code.
+pub fn run(args: &Args) -> Result<u8> {
     if let Some(path) = &args.verify {
-        return verify(args, &gpu, path);
+        return verify(args, path);
     }
     let output = args.output.as_deref().expect("clap requires it");
     let checkpoint_path = output.with_extension("checkpoint");
@@ -121,23 +117,26 @@ pub fn run(args: &TrainArgs, stop: &Arc<AtomicBool>) -> Result<()> {
     for path in [output, &checkpoint_path, &log_path] {
         writable(path)?;
     }
+    let gpu = args.device.open()?;
     let mut run = begin(args, &gpu)?;
+    let stop = Stop::install()?;
     let mut log = open_log(&log_path, run.state.step)?;
     let command = command_line();
-    run.prepare(|done, all| eprintln!("rendering training windows: {done} of {all}"))?;
-    let mut progress = Progress::new(&run.state);
+    prepare(&mut run)?;
+    let mut progress = Progress::new("training");
+    progress.start_at(run.state.progress());
     let mut saved = Instant::now();
-    while !run.state.done() && !stop.load(Ordering::Relaxed) {
+    while !run.state.done() && stop.requested().is_none() {
         let record = run.step()?;
         let line = serde_json::to_string(&record).map_err(|e| Error::input(e.to_string()))?;
         writeln!(log, "{line}").map_err(|e| Error::io(&log_path, e))?;
-        progress.step(&run.state, &record);
+        show(&mut progress, &run.state, &record);
         if saved.elapsed() > CHECKPOINT_EVERY {
             save(&run, &gpu, &checkpoint_path, output, &command)?;
             saved = Instant::now();
         }
     }
-    progress.bar.finish_and_clear();
+    drop(progress);
     save(&run, &gpu, &checkpoint_path, output, &command)?;
     let state = &run.state;
     if args.json {
@@ -159,12 +158,26 @@ pub fn run(args: &TrainArgs, stop: &Arc<AtomicBool>) -> Result<()> {
         });
         println!("{report}");
     } else {
-        eprintln!("{} after {} steps, {:.0} s", output.display(), state.step, state.seconds);
+        line(&format!("{} after {} steps, {:.0} s", output.display(), state.step, state.seconds));
     }
-    Ok(())
+    args.device.check(&gpu)?;
+    Ok(stop.requested().map_or(0, super::stop::Signal::exit_code))
 }
 
-fn begin(args: &TrainArgs, gpu: &Gpu) -> Result<Run> {
+fn prepare(run: &mut Run) -> Result<()> {
+    let mut progress = Progress::new("rendering training windows");
+    run.prepare(|done, all| progress.update(done as f64 / all as f64, all as f64, " windows"))
+}
+
+fn show(progress: &mut Progress, state: &RunState, record: &StepRecord) {
+    let recent = &state.block;
+    let loss = if recent.is_empty() { record.loss } else { recent.iter().sum::<f64>() / recent.len() as f64 };
+    progress.note(format!("step {}, loss {loss:.5}, ", record.step));
+    let done = state.progress();
+    progress.update(done, (state.step * u64::from(state.data.batch)) as f64 / done, " chunks");
+}
+
+fn begin(args: &Args, gpu: &Gpu) -> Result<Run> {
     if let Some(path) = &args.resume {
         let (state, parameters, moments) = checkpoint::load(path)?;
         let mut weights = Weights::glorot(&Architecture::named(&state.architecture)?, 0);
@@ -178,7 +191,7 @@ fn begin(args: &TrainArgs, gpu: &Gpu) -> Result<Run> {
 }
 
 /// The weights that a run begins with, and the sha256 of their file.
-fn initial_weights(args: &TrainArgs, architecture: &Architecture, seed: u64) -> Result<(Weights, Option<String>)> {
+fn initial_weights(args: &Args, architecture: &Architecture, seed: u64) -> Result<(Weights, Option<String>)> {
     match &args.init {
         None => Ok((Weights::glorot(architecture, seed), None)),
         Some(path) => {
@@ -216,43 +229,7 @@ fn command_line() -> String {
     std::iter::once("limpid".to_owned()).chain(words).collect::<Vec<_>>().join(" ")
 }
 
-/// A bar on a terminal, a line every ten seconds elsewhere.
-struct Progress {
-    bar: ProgressBar,
-    line: Option<Instant>,
-    chunks: u64,
-    start: Instant,
-}
-
-impl Progress {
-    fn new(state: &RunState) -> Self {
-        let terminal = std::io::stderr().is_terminal();
-        let bar = if terminal { ProgressBar::new(1000) } else { ProgressBar::hidden() };
-        let style = "{bar:32} {percent} %  {msg}  {eta} left";
-        bar.set_style(ProgressStyle::with_template(style).unwrap_or_else(|_| ProgressStyle::default_bar()));
-        bar.set_position((state.progress() * 1000.0) as u64);
-        Self { bar, line: (!terminal).then(Instant::now), chunks: 0, start: Instant::now() }
-    }
-
-    fn step(&mut self, state: &RunState, record: &StepRecord) {
-        self.chunks += u64::from(state.data.batch);
-        let rate = self.chunks as f64 / self.start.elapsed().as_secs_f64();
-        let recent = &state.block;
-        let mean = recent.iter().sum::<f64>() / recent.len().max(1) as f64;
-        let loss = if recent.is_empty() { record.loss } else { mean };
-        let text = format!("step {}  loss {loss:.5}  {rate:.2} chunks/s", record.step);
-        self.bar.set_position((state.progress() * 1000.0) as u64);
-        self.bar.set_message(text.clone());
-        if let Some(last) = &mut self.line
-            && (last.elapsed() > LINE_EVERY || record.step == 1)
-        {
-            eprintln!("{text}  {:.1} %", state.progress() * 100.0);
-            *last = Instant::now();
-        }
-    }
-}
-
-fn verify(args: &TrainArgs, gpu: &Gpu, path: &Path) -> Result<()> {
+fn verify(args: &Args, path: &Path) -> Result<u8> {
     let recorded = Weights::load(path)?;
     let missing =
         |key: &str| Error::input(format!("{}: no metadata `{key}`: not made by `limpid train`", path.display()));
@@ -270,8 +247,9 @@ fn verify(args: &TrainArgs, gpu: &Gpu, path: &Path) -> Result<()> {
             state.init.as_deref().map_or("random weights".into(), |sum| format!("the weights of sha256 {sum}"))
         )));
     }
-    let mut run = Run::new(gpu, state, &weights, None)?;
-    run.prepare(|done, all| eprintln!("rendering training windows: {done} of {all}"))?;
+    let gpu = args.device.open()?;
+    let mut run = Run::new(&gpu, state, &weights, None)?;
+    prepare(&mut run)?;
     let mut differing = Vec::new();
     for expected in &losses {
         let record = run.step()?;
@@ -301,5 +279,6 @@ fn verify(args: &TrainArgs, gpu: &Gpu, path: &Path) -> Result<()> {
             losses.len()
         )));
     }
-    Ok(())
+    args.device.check(&gpu)?;
+    Ok(0)
 }
