@@ -3,6 +3,7 @@
 
 pub mod compare;
 pub mod goldens;
+pub mod networks;
 
 use limpid::gpu::{DeviceOptions, Gpu};
 use std::sync::OnceLock;

@@ -1,0 +1,83 @@
+//! Whole networks on the device, as the tests run them.
+#![allow(dead_code)]
+
+use super::goldens;
+use limpid::gpu::{Gpu, hazard};
+use limpid::net::architecture::{Architecture, Op, Row};
+use limpid::net::kernel::Family;
+use limpid::net::parameters::Parameters;
+use limpid::net::plan::{Fusion, Memory, Plan};
+use limpid::net::tensor::Tensor;
+use limpid::net::weights::Weights;
+
+/// A convolution with the activation that all but last layers have.
+pub const fn conv(cin: usize, cout: usize) -> Op {
+    Op::Conv { cin, cout, slope: Some(0.1) }
+}
+
+/// A last layer.
+pub const fn linear(cin: usize, cout: usize) -> Op {
+    Op::Conv { cin, cout, slope: None }
+}
+
+/// One pooling, one skip, channel counts that are no multiple of 4: 4 channels in, 3 out.
+pub fn tiny() -> Architecture {
+    let rows: &[Row] = &[
+        ("input", Op::Input { channels: 4 }, &[]),
+        ("enc", conv(4, 6), &["input"]),
+        ("pool", Op::MaxPool, &["enc"]),
+        ("middle", conv(6, 7), &["pool"]),
+        ("upsample", Op::Upsample, &["middle"]),
+        ("concat", Op::Concat, &["upsample", "enc"]),
+        ("out", linear(13, 3), &["concat"]),
+    ];
+    Architecture::from_rows("tiny", rows).expect("the rows fit")
+}
+
+/// The goldens' weights of an architecture.
+pub fn weights(architecture: &Architecture) -> Weights {
+    Weights {
+        architecture: architecture.clone(),
+        parameters: goldens::parameters(architecture),
+        metadata: Default::default(),
+    }
+}
+
+/// A network's output (N, Cout, H, W), computed on the device from values that were all NaN before; the recorded plan is
+/// checked for races.
+pub fn forward(
+    gpu: &Gpu,
+    weights: &Weights,
+    family: Family,
+    (memory, fusion): (Memory, Fusion),
+    input: &Tensor<f32>,
+) -> Tensor<f32> {
+    let [n, _, h, w] = input.shape;
+    let plan = Plan::new(gpu, &weights.architecture, (n as u32, h as u32, w as u32), memory, fusion).unwrap();
+    let parameters = Parameters::new(gpu, family, weights, false).unwrap();
+    let mut rec = gpu.recorder();
+    plan.record(&mut rec, &parameters).unwrap();
+    let mut commands = rec.finish().unwrap();
+    hazard::check(commands.events()).unwrap();
+    for value in &plan.values {
+        gpu.upload(&value.slice, &vec![f32::NAN; value.slice.bytes() as usize / 4]).unwrap();
+    }
+    plan.input().upload(gpu, &input.data).unwrap();
+    commands.run().unwrap();
+    Tensor::new([n, weights.architecture.output_channels(), h, w], plan.output().download(gpu).unwrap())
+}
+
+/// Rows `y..y + height` and columns `x..x + width` of every plane.
+pub fn cut<T: Copy + Default>(image: &Tensor<T>, [y, x, height, width]: [usize; 4]) -> Tensor<T> {
+    let [batch, channels, ..] = image.shape;
+    let mut part = Tensor::zeros([batch, channels, height, width]);
+    for n in 0..batch {
+        for c in 0..channels {
+            for row in 0..height {
+                let (from, to) = (image.index(n, c, y + row, x), part.index(n, c, row, 0));
+                part.data[to..to + width].copy_from_slice(&image.data[from..from + width]);
+            }
+        }
+    }
+    part
+}
