@@ -37,7 +37,7 @@ fn no_command_prints_the_help() {
     assert_eq!(output.status.code(), Some(2));
     assert!(cli_support::stderr(&output).contains("Usage: limpid"));
     let help = Cli::new().ok(&["--help"]);
-    for command in ["render", "denoise", "compare", "scene", "devices"] {
+    for command in ["render", "denoise", "train", "compare", "scene", "devices"] {
         assert!(help.contains(&format!("  {command}")), "{help}");
     }
     assert_eq!(Cli::new().ok(&["--version"]), format!("limpid {}\n", env!("CARGO_PKG_VERSION")));
