@@ -40,7 +40,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u32,
     /// Reflections that a path may make [default: the scene file's, else 8]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=i64::from(Settings::MAX_BOUNCES)))]
     pub bounces: Option<u32>,
     /// How light is found: by chance (uniform or cosine-weighted directions) or by sampling the lights at every hit
     #[arg(long, value_name = "uniform|cosine|nee", default_value_t = Estimator::Nee)]

@@ -4,27 +4,36 @@ use limpid::{Error, Result};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Whether the user wants the command to end.
-pub struct Stop([(i32, Arc<AtomicBool>); 2]);
+pub struct Stop {
+    asked: Arc<AtomicBool>,
+    signal: Arc<AtomicUsize>,
+}
 
 impl Stop {
     /// Catches the signals from now on.
     pub fn install() -> Result<Self> {
-        let signals = [SIGINT, SIGTERM].map(|signal| (signal, Arc::new(AtomicBool::new(false))));
-        for (signal, asked) in &signals {
+        let stop = Self { asked: Arc::default(), signal: Arc::default() };
+        for signal in [SIGINT, SIGTERM] {
             // In this order: the first signal finds the flag unset and sets it, the second one ends the process.
-            flag::register_conditional_shutdown(*signal, 128 + *signal, Arc::clone(asked))
-                .and_then(|_| flag::register(*signal, Arc::clone(asked)))
+            flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&stop.asked))
+                .and_then(|_| flag::register_usize(signal, Arc::clone(&stop.signal), signal as usize))
+                .and_then(|_| flag::register(signal, Arc::clone(&stop.asked)))
                 .map_err(|error| Error::io(format!("signal {signal}"), error))?;
         }
-        Ok(Self(signals))
+        Ok(stop)
+    }
+
+    /// Set once a signal came.
+    pub fn asked(&self) -> &Arc<AtomicBool> {
+        &self.asked
     }
 
     /// The signal that came, if any.
     pub fn requested(&self) -> Option<Signal> {
-        self.0.iter().find(|(_, asked)| asked.load(Ordering::Relaxed)).map(|(signal, _)| Signal(*signal))
+        self.asked.load(Ordering::Relaxed).then(|| Signal(self.signal.load(Ordering::Relaxed) as i32))
     }
 }
 
