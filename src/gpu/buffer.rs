@@ -29,6 +29,12 @@ fn allocate(
     location: MemoryLocation,
 ) -> Result<Memory> {
     let device = &shared.raw;
+    let too_large =
+        |message: String| Error::OutOfMemory(format!("{name} needs {} MiB: {message}", bytes.div_ceil(1 << 20)));
+    let most = shared.info.max_allocation;
+    if bytes > most {
+        return Err(too_large(format!("one allocation may have {} MiB", most >> 20)));
+    }
     let info = vk::BufferCreateInfo::default().size(bytes).usage(usage).sharing_mode(vk::SharingMode::EXCLUSIVE);
     // SAFETY: the device is live; on failure below the buffer is destroyed and never used.
     let raw = unsafe { device.create_buffer(&info, None) }.map_err(vk_error)?;
@@ -37,10 +43,10 @@ fn allocate(
     let fail = |message: String| {
         // SAFETY: nothing uses the buffer.
         unsafe { device.destroy_buffer(raw, None) };
-        Error::OutOfMemory(format!("{name} needs {} MiB: {message}", bytes.div_ceil(1 << 20)))
+        too_large(message)
     };
-    if requirements.size > shared.info.max_allocation {
-        return Err(fail(format!("one allocation may have {} MiB", shared.info.max_allocation >> 20)));
+    if requirements.size > most {
+        return Err(fail(format!("one allocation may have {} MiB", most >> 20)));
     }
     let desc = AllocationCreateDesc {
         name,

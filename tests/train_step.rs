@@ -1,0 +1,333 @@
+//! Whole training steps on the device against the reference steps in f64.
+
+mod common;
+
+use common::compare::{close, l2_close, relative_l2, require, same_bits, within};
+use common::networks::{conv, forward, linear, tiny, weights};
+use common::{goldens, gpu};
+use limpid::gpu::{Gpu, hazard};
+use limpid::net::architecture::{Architecture, Op, Row};
+use limpid::net::device::{Channels, DeviceTensor, Shape};
+use limpid::net::kernel::{Family, conv2d};
+use limpid::net::layer::conv2d::{reference_bias_gradient, reference_weight_gradient, rounding_bound};
+use limpid::net::plan::{Fusion, Memory};
+use limpid::net::tensor::Tensor;
+use limpid::net::weights::Weights;
+use limpid::net::{layer, reference};
+use limpid::train::adam::{Adam, ReferenceState};
+use limpid::train::kernel::conv2d as conv_grad;
+use limpid::train::step::Step;
+use limpid::train::{loss, reference as training};
+
+/// Half of the spacing of f32 at 1.
+const ROUNDING: f64 = 1.0 / (1 << 24) as f64;
+
+/// A batch: the network's input and target.
+struct Batch {
+    input: Tensor<f32>,
+    target: Tensor<f32>,
+}
+
+fn batch(architecture: &Architecture, [n, h, w]: [usize; 3], name: &str) -> Batch {
+    Batch {
+        input: goldens::drawn([n, architecture.input_channels(), h, w], &format!("{name}/input")),
+        target: goldens::drawn([n, architecture.output_channels(), h, w], &format!("{name}/target")),
+    }
+}
+
+fn step_for(gpu: &Gpu, family: Family, weights: &Weights, batch: &Batch, adam: Adam) -> Step {
+    let [n, _, h, w] = batch.input.shape.map(|size| size as u32);
+    let step = Step::new(gpu, family, weights, (n, h, w), adam).unwrap();
+    hazard::check(step.commands().events()).unwrap();
+    step
+}
+
+/// Takes a step with `batch`; the loss before it.
+fn take(gpu: &Gpu, step: &mut Step, batch: &Batch, adam: &Adam) -> f64 {
+    step.input().upload(gpu, &batch.input.data).unwrap();
+    step.target().upload(gpu, &batch.target.data).unwrap();
+    step.run(adam.learning_rate).unwrap().0
+}
+
+fn to_f64(values: &[f32]) -> Vec<f64> {
+    values.iter().copied().map(f64::from).collect()
+}
+
+/// Loss and gradient at the parameters of `step`, against the reference at the same parameters.
+///
+/// The loss is a mean of absolute values, so it differs by no more than the mean, and so the root mean square, of the
+/// outputs' errors: 1e-5 of the outputs, as the forward pass is held to, and the rounding of its own sums.
+fn require_gradient(architecture: &Architecture, parameters: &[f32], batch: &Batch, loss: f64, gradient: &[f32]) {
+    let parameters = to_f64(parameters);
+    let values = reference::forward(architecture, &parameters, &batch.input.to_f64());
+    let (output, target) = (values.last().unwrap(), batch.target.to_f64());
+    let root_mean_square = (output.data.iter().map(|v| v * v).sum::<f64>() / output.len() as f64).sqrt();
+    let expected = loss::reference(output, &target);
+    require("loss", close(&[loss], &[expected], 1e-5 * root_mean_square, 32.0 * ROUNDING));
+    let expected =
+        reference::backward(architecture, &parameters, &values, &loss::reference_backward(output, &target)).parameters;
+    for spec in architecture.tensors() {
+        require(&spec.name, l2_close(&gradient[spec.range.clone()], &expected[spec.range], 1e-5));
+    }
+}
+
+/// Adam on the device against Adam in f64 with the device's own gradients, step by step.
+///
+/// Every step of the update is a handful of roundings: `m` and `v` (3 each, of sums of terms of one order), a root, two
+/// products, a quotient: 16 of them relative to the learning rate, which bounds the quotient but for bias correction
+/// (at most sqrt(1 - b2^t) / (1 - b1^t) * sqrt(t) < 3 in three steps). And the new parameter's own rounding.
+struct AdamOracle {
+    adam: Adam,
+    state: ReferenceState,
+    parameters: Vec<f64>,
+    bound: Vec<f64>,
+}
+
+impl AdamOracle {
+    fn new(adam: Adam, parameters: &[f32]) -> Self {
+        let count = parameters.len();
+        Self { adam, state: ReferenceState::new(count), parameters: to_f64(parameters), bound: vec![0.0; count] }
+    }
+
+    fn require_step(&mut self, gradient: &[f32], parameters: &[f32]) {
+        self.adam.reference(&mut self.state, &mut self.parameters, &to_f64(gradient));
+        for (bound, p) in self.bound.iter_mut().zip(&self.parameters) {
+            *bound += ROUNDING * (p.abs() + 3.0 * 16.0 * self.adam.learning_rate);
+        }
+        let what = format!("parameters after step {}", self.state.step);
+        require(&what, within(parameters, &self.parameters, &self.bound));
+    }
+}
+
+fn three_steps(architecture: &Architecture, size: [usize; 3]) {
+    let (gpu, weights, adam) = (gpu(), weights(architecture), Adam::default());
+    for family in Family::all(gpu.info()) {
+        let mut oracle = AdamOracle::new(adam, &weights.parameters);
+        let mut parameters = weights.parameters.clone();
+        let batches = [0, 1, 2].map(|i| batch(architecture, size, &format!("steps/{i}")));
+        let mut step = step_for(&gpu, family, &weights, &batches[0], adam);
+        for batch in &batches {
+            let loss = take(&gpu, &mut step, batch, &adam);
+            let gradient = step.gradient().unwrap();
+            require_gradient(architecture, &parameters, batch, loss, &gradient);
+            parameters = step.parameters.get().unwrap();
+            oracle.require_step(&gradient, &parameters);
+        }
+        assert_eq!(step.steps_done(), 3);
+    }
+}
+
+#[test]
+fn steps_of_a_tiny_network_equal_the_reference() {
+    three_steps(&tiny(), [3, 6, 10]);
+}
+
+#[test]
+fn steps_of_seed_equal_the_reference() {
+    three_steps(&Architecture::seed(), [2, 32, 32]);
+}
+
+/// The whole trajectory against the reference's, which never sees the device. Adam divides by the gradient's size and so
+/// multiplies the error of a gradient near zero; an epsilon far above the gradients makes the step proportional to them, and
+/// a large rate makes it stand out from the rounding of the parameters. Three steps of gradients within 1e-5: 3e-5.
+#[test]
+fn three_steps_follow_the_reference() {
+    let adam = Adam { learning_rate: 0.2, epsilon: 1.0, ..Adam::default() };
+    let (gpu, architecture) = (gpu(), tiny());
+    let weights = weights(&architecture);
+    let batches = [0, 1, 2].map(|i| batch(&architecture, [2, 16, 16], &format!("trajectory/{i}")));
+    for family in Family::all(gpu.info()) {
+        let mut step = step_for(&gpu, family, &weights, &batches[0], adam);
+        let mut state = ReferenceState::new(weights.parameters.len());
+        let mut expected = weights.to_f64();
+        for batch in &batches {
+            take(&gpu, &mut step, batch, &adam);
+            let (input, target) = (batch.input.to_f64(), batch.target.to_f64());
+            training::step(&architecture, &adam, &mut state, &mut expected, &input, &target);
+            let start = weights.to_f64();
+            let change = |values: &[f64]| values.iter().zip(&start).map(|(v, s)| v - s).collect::<Vec<_>>();
+            let actual = to_f64(&step.parameters.get().unwrap());
+            require(family.name(), l2_close(&change(&actual), &change(&expected), 3e-5));
+        }
+        let moments = step.moments().unwrap();
+        assert_eq!(moments.step, 3);
+        require("mean", l2_close(&moments.mean, &state.mean, 3e-5));
+        require("mean square", l2_close(&moments.mean_square, &state.mean_square, 6e-5));
+    }
+}
+
+/// The slope of the device's loss along the gradient of each tensor is the gradient's length. The finite step costs what it
+/// costs the reference; the loss is exact to 1e-5 of the outputs' root mean square (see `require_gradient`), twice.
+#[test]
+fn gradients_match_central_differences_of_the_loss() {
+    const H: f64 = 0.01;
+    let (gpu, architecture, adam) = (gpu(), tiny(), Adam::default());
+    let weights = weights(&architecture);
+    let batch = batch(&architecture, [2, 8, 8], "differences");
+    let (input, target) = (batch.input.to_f64(), batch.target.to_f64());
+    let values = reference::forward(&architecture, &weights.to_f64(), &input);
+    let output = &values.last().unwrap().data;
+    let noise = 1e-5 * (output.iter().map(|v| v * v).sum::<f64>() / output.len() as f64).sqrt() / H;
+    for family in Family::all(gpu.info()) {
+        let mut step = step_for(&gpu, family, &weights, &batch, adam);
+        take(&gpu, &mut step, &batch, &adam);
+        let gradient = to_f64(&step.gradient().unwrap());
+        for spec in architecture.tensors() {
+            let part = &gradient[spec.range.clone()];
+            let length = part.iter().map(|g| g * g).sum::<f64>().sqrt();
+            let moved = |h: f64| {
+                let mut parameters = weights.parameters.clone();
+                parameters[spec.range.clone()].iter_mut().zip(part).for_each(|(p, g)| *p += (h * g / length) as f32);
+                parameters
+            };
+            let mut on_device = |h: f64| {
+                step.parameters.set(&moved(h)).unwrap();
+                take(&gpu, &mut step, &batch, &adam)
+            };
+            let slope = (on_device(H) - on_device(-H)) / (2.0 * H);
+            let reference = |h: f64| training::gradient(&architecture, &to_f64(&moved(h)), &input, &target).0;
+            let finite_step = ((reference(H) - reference(-H)) / (2.0 * H) - length).abs();
+            let what = format!("{} {}", family.name(), spec.name);
+            // A tolerance near the slope itself would show nothing.
+            assert!(finite_step + noise < 0.1 * length, "{what}: {finite_step} and {noise} of {length}");
+            require(&what, close(&[slope], &[length], finite_step + noise, 0.0));
+        }
+    }
+}
+
+/// Fresh, or continued from what a checkpoint holds: the same bits.
+#[test]
+fn equal_runs_and_resumed_runs_give_equal_bits() {
+    let (gpu, architecture, adam) = (gpu(), tiny(), Adam::default());
+    let weights = weights(&architecture);
+    let batches = [0, 1, 2, 3].map(|i| batch(&architecture, [2, 16, 16], &format!("bits/{i}")));
+    for family in Family::all(gpu.info()) {
+        let fresh = |weights: &Weights| step_for(&gpu, family, weights, &batches[0], adam);
+        let (mut first, mut second) = (fresh(&weights), fresh(&weights));
+        let mut resumed = None;
+        for (i, batch) in batches.iter().enumerate() {
+            if i == 2 {
+                let mut step = fresh(&first.weights(&architecture).unwrap());
+                step.set_moments(&first.moments().unwrap()).unwrap();
+                assert_eq!(step.moments().unwrap(), first.moments().unwrap());
+                resumed = Some(step);
+            }
+            let loss = take(&gpu, &mut first, batch, &adam);
+            let parameters = first.parameters.get().unwrap();
+            for other in [Some(&mut second), resumed.as_mut()].into_iter().flatten() {
+                assert_eq!(take(&gpu, other, batch, &adam).to_bits(), loss.to_bits());
+                require(family.name(), same_bits(&other.parameters.get().unwrap(), &parameters));
+                require(family.name(), same_bits(&other.gradient().unwrap(), &first.gradient().unwrap()));
+                assert_eq!(other.moments().unwrap(), first.moments().unwrap());
+            }
+        }
+        let moved = relative_l2(&first.parameters.get().unwrap(), &weights.parameters).unwrap();
+        assert!(moved > 1e-3, "the parameters hardly moved: {moved}");
+    }
+}
+
+/// Sums over 885,000 pixels: one invocation that made them all would pass 65,535 iterations, after which CPU drivers end
+/// every loop without a word.
+#[test]
+fn long_sums_of_weight_and_bias_gradients() {
+    let gpu = gpu();
+    let (n, channels, size) = (24, 4, 192);
+    let strips = n * size / 12;
+    assert!(strips * size > 70_000, "{} iterations are no test", strips * size);
+    let shape = Shape { n: n as u32, h: size as u32, w: size as u32, c: Channels::new(channels as u32) };
+    let operand = |name: &str| {
+        let values = goldens::drawn([n, channels, size, size], name);
+        let tensor = DeviceTensor::new(&gpu, name, shape).unwrap();
+        tensor.upload(&gpu, &values.data).unwrap();
+        (values.to_f64(), tensor)
+    };
+    let ((x, device_x), (dy, device_dy)) = (operand("long/x"), operand("long/dy"));
+    let (weight, bias) = (reference_weight_gradient(&x, &dy), reference_bias_gradient(&dy));
+    let bound = |sum: &f64| rounding_bound(n * size * size, *sum);
+    let (absolute_x, absolute_dy) = (x.map(f64::abs), dy.map(f64::abs));
+    let weight_bound: Vec<f64> = reference_weight_gradient(&absolute_x, &absolute_dy).data.iter().map(bound).collect();
+    let bias_bound: Vec<f64> = reference_bias_gradient(&absolute_dy).iter().map(bound).collect();
+    for family in Family::all(gpu.info()) {
+        let layer = conv2d::Layer { input: shape.c, cout: channels as u32 };
+        let scratch = conv_grad::Scratch::new(&gpu, family, &[(layer, shape)]).unwrap();
+        let dw = gpu.buffer("dw", weight.len() as u64 * 4).unwrap();
+        let db = gpu.buffer("db", 256).unwrap();
+        let mut rec = gpu.recorder();
+        conv_grad::weight_grad(&gpu, &mut rec, family, layer, &scratch, &device_x, &device_dy, &dw.all()).unwrap();
+        conv_grad::bias_grad(&gpu, &mut rec, layer, &scratch, &device_dy, &db.all()).unwrap();
+        let mut commands = rec.finish().unwrap();
+        hazard::check(commands.events()).unwrap();
+        commands.run().unwrap();
+        let values: Vec<f32> = gpu.download(&dw.all()).unwrap();
+        require(family.name(), within(&values[..weight.len()], &weight.data, &weight_bound));
+        let values: Vec<f32> = gpu.download(&db.all()).unwrap();
+        require(family.name(), within(&values[..channels], &bias, &bias_bound));
+    }
+}
+
+/// Gradients of 135 MiB and more: every kernel of the backward pass must cut its work into storage bindings.
+#[test]
+fn gradients_larger_than_a_storage_binding() {
+    let rows: &[Row] = &[
+        ("input", Op::Input { channels: 3 }, &[]),
+        ("enc", conv(3, 60), &["input"]),
+        ("pool", Op::MaxPool, &["enc"]),
+        ("upsample", Op::Upsample, &["pool"]),
+        ("concat", Op::Concat, &["upsample", "enc"]),
+        ("out", linear(120, 3), &["concat"]),
+    ];
+    let (gpu, architecture, adam) = (gpu(), Architecture::from_rows("wide", rows).unwrap(), Adam::default());
+    let (weights, batch) = (weights(&architecture), batch(&architecture, [4, 384, 384], "wide"));
+    if gpu.info().is_cpu {
+        assert!(4 * 384 * 384 * 60 * 4 > gpu.info().max_storage_range, "the test shows nothing");
+    }
+    let mut step = step_for(&gpu, Family::choose(gpu.info()), &weights, &batch, adam);
+    let loss = take(&gpu, &mut step, &batch, &adam);
+    require_gradient(&architecture, &weights.parameters, &batch, loss, &step.gradient().unwrap());
+}
+
+/// Ties of the pooling and activations of exactly 0 take the sides that the definitions say.
+#[test]
+fn ties_and_zeros_take_the_stated_sides() {
+    let (gpu, architecture, adam) = (gpu(), tiny(), Adam::default());
+    // Small integers everywhere: all sums are exact, and many are equal or 0.
+    let integers = |values: &mut [f32], range: f32| values.iter_mut().for_each(|v| *v = (*v * range).round());
+    let mut weights = weights(&architecture);
+    integers(&mut weights.parameters, 3.0);
+    // A slope of 0.1 makes values inexact; their ties stay ties, for equal sums round equally.
+    let mut batch = batch(&architecture, [2, 8, 8], "ties");
+    integers(&mut batch.input.data, 1.5);
+    let values = reference::forward(&architecture, &weights.to_f64(), &batch.input.to_f64());
+    let enc = &values[1];
+    let zeros = enc.data.iter().filter(|v| **v == 0.0).count();
+    let pooled = &layer::max_pool2d::reference(enc);
+    let ties = (0..pooled.len())
+        .filter(|i| {
+            let (x, y) = (i % pooled.shape[3], i / pooled.shape[3] % pooled.shape[2]);
+            let (c, n) = (i / pooled.plane(0, 0).len() % enc.shape[1], i / pooled.plane(0, 0).len() / enc.shape[1]);
+            let window = [(0, 0), (0, 1), (1, 0), (1, 1)].map(|(dy, dx)| enc.at(n, c, 2 * y + dy, 2 * x + dx));
+            window.iter().filter(|v| **v == pooled.data[*i]).count() > 1
+        })
+        .count();
+    assert!(zeros > 20 && ties > 20, "{zeros} zeros, {ties} ties");
+    for family in Family::all(gpu.info()) {
+        let mut step = step_for(&gpu, family, &weights, &batch, adam);
+        let loss = take(&gpu, &mut step, &batch, &adam);
+        require_gradient(&architecture, &weights.parameters, &batch, loss, &step.gradient().unwrap());
+    }
+}
+
+/// The sign of an error of exactly 0 is 0: nothing is left to learn.
+#[test]
+fn a_perfect_output_has_no_gradient() {
+    let (gpu, architecture, adam) = (gpu(), tiny(), Adam::default());
+    let weights = weights(&architecture);
+    let mut batch = batch(&architecture, [2, 8, 8], "perfect");
+    for family in Family::all(gpu.info()) {
+        batch.target = forward(&gpu, &weights, family, (Memory::Kept, Fusion::Activation), &batch.input);
+        let mut step = step_for(&gpu, family, &weights, &batch, adam);
+        assert_eq!(take(&gpu, &mut step, &batch, &adam), 0.0);
+        assert!(step.gradient().unwrap().iter().all(|g| *g == 0.0));
+        require(family.name(), same_bits(&step.parameters.get().unwrap(), &weights.parameters));
+    }
+}
