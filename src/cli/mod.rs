@@ -35,7 +35,6 @@ pub struct Cli {
 enum Command {
     Render(Box<render::Args>),
     Denoise(denoise::Args),
-    Train(Box<train::TrainArgs>),
     Compare(compare::Args),
     Scene(scene::Args),
     Train(Box<train::Args>),
@@ -47,11 +46,6 @@ pub fn run(cli: &Cli) -> Result<u8> {
     match &cli.command {
         Command::Render(args) => render::run(args),
         Command::Denoise(args) => denoise::run(args),
-        Command::Train(args) => {
-            let stop = stop::Stop::install()?;
-            train::run(args, stop.asked())?;
-            Ok(stop.requested().map_or(0, stop::Signal::exit_code))
-        }
         Command::Compare(args) => compare::run(args),
         Command::Scene(args) => scene::run(args),
         Command::Train(args) => train::run(args),

@@ -26,11 +26,6 @@ impl Stop {
         Ok(stop)
     }
 
-    /// Set once a signal came.
-    pub fn asked(&self) -> &Arc<AtomicBool> {
-        &self.asked
-    }
-
     /// The signal that came, if any.
     pub fn requested(&self) -> Option<Signal> {
         self.asked.load(Ordering::Relaxed).then(|| Signal(self.signal.load(Ordering::Relaxed) as i32))
