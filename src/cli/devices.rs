@@ -50,15 +50,15 @@ fn families(device: &DeviceInfo) -> Vec<&'static str> {
 }
 
 fn describe(device: &DeviceInfo, is_default: bool) -> String {
-    let gib = |bytes: u64| format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30));
+    let mib = |bytes: u64| format!("at most {} MiB", bytes >> 20);
     let mut text = format!("{}: {}{}\n", device.index, device.name, if is_default { " (default)" } else { "" });
     let mut row = |name: &str, value: String| text += &format!("   {name:<13}{value}\n");
     row("kind", device.kind.to_owned());
     row("driver", device.driver.clone());
     row("Vulkan", device.api_version.clone());
     row("subgroup", format!("{} invocations", device.subgroup_size));
-    row("binding", format!("at most {}", gib(device.max_storage_range)));
-    row("allocation", format!("at most {}", gib(device.max_allocation)));
+    row("binding", mib(device.max_storage_range));
+    row("allocation", mib(device.max_allocation));
     let families = families(device);
     match families.split_first() {
         None => row("unusable", device.unusable.clone()),

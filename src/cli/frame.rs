@@ -35,6 +35,8 @@ pub struct Frame {
 pub struct Totals {
     /// Closest-hit and shadow queries.
     pub rays: u64,
+    /// Of these, those traced by this run: a checkpoint brings its own.
+    pub rays_here: u64,
     /// Samples traced.
     pub samples: u64,
     /// Non-finite samples dropped.
@@ -55,6 +57,13 @@ pub struct Totals {
     pub frames: Vec<Value>,
     /// Files written.
     pub outputs: Vec<String>,
+}
+
+impl Totals {
+    /// By device time; 0 where nothing was traced.
+    pub fn rays_per_second(&self) -> f64 {
+        if self.render_device_ms > 0.0 { self.rays_here as f64 / (self.render_device_ms * 1e-3) } else { 0.0 }
+    }
 }
 
 /// The device with what one frame leaves to the next.
@@ -93,7 +102,7 @@ impl<'a> Work<'a> {
             renderer.restore(&files.checkpoint)?;
             progress.start_at(f64::from(renderer.samples_done()) / f64::from(frame.settings.spp));
         }
-        let resumed = renderer.samples_done();
+        let resumed = (renderer.samples_done(), renderer.stats()?.rays);
         let finished = self.trace(&mut renderer, files, &mut progress)?;
         drop(progress);
         if !finished {
@@ -194,10 +203,11 @@ impl<'a> Work<'a> {
         Ok(())
     }
 
-    fn count(&mut self, renderer: &Renderer, frame: &Frame, image: &Image, resumed: u32) -> Result<()> {
+    fn count(&mut self, renderer: &Renderer, frame: &Frame, image: &Image, resumed: (u32, u64)) -> Result<()> {
         let stats = renderer.stats()?;
         let totals = &mut self.totals;
         totals.rays += stats.rays;
+        totals.rays_here += stats.rays - resumed.1;
         totals.samples += stats.samples;
         totals.invalid += stats.invalid;
         totals.render_device_ms += stats.device_ms;
@@ -206,7 +216,7 @@ impl<'a> Work<'a> {
             "seed": frame.settings.seed,
             "scene_hash": image.attributes.get("sceneHash"),
             "spp_done": renderer.samples_done(),
-            "spp_resumed": resumed,
+            "spp_resumed": resumed.0,
             "render_device_ms": report::ms(stats.device_ms),
             "dispatches": stats.dispatches,
             "longest_dispatch_ms": report::ms(stats.longest_dispatch_ms),
@@ -245,7 +255,7 @@ impl<'a> Work<'a> {
                 "{}: {seconds:.3} s on {}, {:.1} Mrays/s",
                 self.label(last),
                 self.gpu.info().name,
-                totals.rays as f64 / seconds * 1e-6
+                totals.rays_per_second() * 1e-6
             ))?;
         }
         if totals.reconstruct_device_ms > 0.0 {

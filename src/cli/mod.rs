@@ -22,8 +22,8 @@ use limpid::Result;
 /// limpid path-traces an image and reconstructs it with a denoising autoencoder. Both run as Vulkan compute shaders: headless,
 /// on any Vulkan 1.3 device, the CPU driver lavapipe included; the same device trains the autoencoder.
 ///
-/// Errors are one line on standard error; the exit code is 2 for bad arguments or input and 1 for anything else. LIMPID does
-/// not log unless RUST_LOG says so (e.g. RUST_LOG=info).
+/// Errors are one line on standard error; the exit code is 2 for bad arguments or input and 1 for anything else. limpid
+/// does not log unless RUST_LOG says so (e.g. RUST_LOG=info).
 #[derive(Debug, Parser)]
 #[command(name = "limpid", version, arg_required_else_help = true)]
 pub struct Cli {

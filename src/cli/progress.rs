@@ -10,7 +10,6 @@ const TEMPLATE: &str = "{prefix} [{bar:30}] {percent:>3} % {msg}";
 
 /// Progress of one piece of work.
 pub struct Progress {
-    label: String,
     bar: Option<ProgressBar>,
     start: Instant,
     /// Share that was done before the start.
@@ -34,14 +33,7 @@ impl Progress {
         if bar.is_none() {
             line(label);
         }
-        Self {
-            label: label.to_owned(),
-            bar,
-            start: Instant::now(),
-            first: 0.0,
-            note: String::new(),
-            last_line: Instant::now(),
-        }
+        Self { bar, start: Instant::now(), first: 0.0, note: String::new(), last_line: Instant::now() }
     }
 
     /// Says that this share of the work is done already.
@@ -65,7 +57,7 @@ impl Progress {
             bar.set_message(message);
         } else if self.last_line.elapsed() >= LINE_INTERVAL {
             self.last_line = Instant::now();
-            line(&format!("{}: {:.0} %, {message}", self.label, 100.0 * fraction));
+            line(&format!("  {:.0} %, {message}", 100.0 * fraction));
         }
     }
 }

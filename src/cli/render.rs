@@ -204,6 +204,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
     });
     map.insert("ms".into(), times);
     map.insert("rays".into(), json!(totals.rays));
+    map.insert("rays_per_second".into(), json!(totals.rays_per_second()));
     map.insert("samples".into(), json!(totals.samples));
     map.insert("invalid_samples".into(), json!(totals.invalid));
     map.insert("skipped".into(), json!(totals.skipped));
