@@ -13,7 +13,7 @@ layout(push_constant) uniform Push {
     uint last;   // 1: write (exposure, 1 / largest depth, 0, 0)
 };
 
-const float KEY = 0.18;  // where the geometric mean of the luminance goes
+const float KEY = 0.5;  // where the geometric mean of the luminance goes
 
 void main() {
     const uint index = flat_index();

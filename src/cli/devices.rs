@@ -1,0 +1,69 @@
+//! `limpid devices`: what Vulkan offers.
+
+use super::report;
+use limpid::Result;
+use limpid::gpu::{DeviceInfo, DeviceOptions, Gpu, list_devices};
+use limpid::net::kernel::Family;
+use serde_json::json;
+
+/// List the Vulkan devices, what they can do, and which one is the default
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<u8> {
+    let devices = list_devices()?;
+    // Also says what to install where there is no device.
+    let default = Gpu::new(&DeviceOptions::default())?.info().index;
+    if args.json {
+        let list = devices.iter().map(|device| {
+            let mut value = json!(device);
+            value["kernels"] = json!(families(device));
+            value
+        });
+        let list: Vec<_> = list.collect();
+        let report = json!({
+            "command": "devices",
+            "limpid": env!("CARGO_PKG_VERSION"),
+            "environment": report::environment(),
+            "default": default,
+            "devices": list,
+        });
+        report::print_json(&report)?;
+        return Ok(0);
+    }
+    for device in &devices {
+        report::print(&describe(device, device.index == default))?;
+    }
+    Ok(0)
+}
+
+/// The kernel families that the device runs, the chosen one first; none where limpid cannot use it.
+fn families(device: &DeviceInfo) -> Vec<&'static str> {
+    let mut list = if device.unusable.is_empty() { Family::all(device) } else { Vec::new() };
+    list.sort_by_key(|family| *family != Family::choose(device));
+    list.into_iter().map(Family::name).collect()
+}
+
+fn describe(device: &DeviceInfo, is_default: bool) -> String {
+    let gib = |bytes: u64| format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30));
+    let mut text = format!("{}: {}{}\n", device.index, device.name, if is_default { " (default)" } else { "" });
+    let mut row = |name: &str, value: String| text += &format!("   {name:<13}{value}\n");
+    row("kind", device.kind.to_owned());
+    row("driver", device.driver.clone());
+    row("Vulkan", device.api_version.clone());
+    row("subgroup", format!("{} invocations", device.subgroup_size));
+    row("binding", format!("at most {}", gib(device.max_storage_range)));
+    row("allocation", format!("at most {}", gib(device.max_allocation)));
+    let families = families(device);
+    match families.split_first() {
+        None => row("unusable", device.unusable.clone()),
+        Some((chosen, [])) => row("kernels", format!("{chosen}; not run here: cpu")),
+        Some((chosen, others)) => row("kernels", format!("{chosen}; also {}", others.join(", "))),
+    }
+    text.trim_end().to_owned()
+}

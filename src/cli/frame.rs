@@ -1,0 +1,272 @@
+//! One frame of `limpid render`: trace, reconstruct, write; stop and go on where asked.
+
+use super::files::Files;
+use super::progress::{Progress, duration, line};
+use super::reconstruct::Reconstruction;
+use super::render::Args;
+use super::report;
+use super::stop::{Signal, Stop};
+use limpid::gpu::Gpu;
+use limpid::image::{Image, exr, file};
+use limpid::render::{Features, Renderer, Settings};
+use limpid::scene::{Scene, family};
+use limpid::{Error, Result};
+use serde_json::{Value, json};
+use std::time::{Duration, Instant};
+
+/// How often a long render saves its state; never more than a twentieth of the time goes into it.
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
+const CHECKPOINT_SHARE: u32 = 20;
+
+/// What is to be rendered.
+pub struct Frame {
+    /// Frame of the animation, where there is one.
+    pub number: Option<u32>,
+    /// The scene is of the random family.
+    pub family: bool,
+    /// The scene.
+    pub scene: Scene,
+    /// How.
+    pub settings: Settings,
+}
+
+/// What all frames have cost together.
+#[derive(Default)]
+pub struct Totals {
+    /// Closest-hit and shadow queries.
+    pub rays: u64,
+    /// Samples traced.
+    pub samples: u64,
+    /// Non-finite samples dropped.
+    pub invalid: u64,
+    /// Device time of the path tracer.
+    pub render_device_ms: f64,
+    /// The same by the clock, pipelines included.
+    pub render_wall_ms: f64,
+    /// Device time of the network.
+    pub reconstruct_device_ms: f64,
+    /// The same by the clock, pipelines and allocation included.
+    pub reconstruct_wall_ms: f64,
+    /// Encoding and writing files.
+    pub write_ms: f64,
+    /// What was left out, as of the last frame.
+    pub skipped: Vec<String>,
+    /// One object a frame.
+    pub frames: Vec<Value>,
+    /// Files written.
+    pub outputs: Vec<String>,
+}
+
+/// The device with what one frame leaves to the next.
+pub struct Work<'a> {
+    /// The device.
+    pub gpu: Gpu,
+    /// The network, with --denoise.
+    pub network: Option<Reconstruction>,
+    /// Costs so far.
+    pub totals: Totals,
+    args: &'a Args,
+    stop: &'a Stop,
+    renderer: Option<Renderer>,
+}
+
+impl<'a> Work<'a> {
+    /// Nothing rendered so far.
+    pub fn new(args: &'a Args, gpu: Gpu, network: Option<Reconstruction>, stop: &'a Stop) -> Self {
+        Self { gpu, network, totals: Totals::default(), args, stop, renderer: None }
+    }
+
+    /// Renders and writes a frame; false where a signal ended it early.
+    pub fn frame(&mut self, frame: &Frame, files: &Files) -> Result<bool> {
+        files.writable(self.args.denoise)?;
+        let resume = self.args.resume && files.checkpoint.exists();
+        if self.args.resume && !resume && self.is_done(frame, files) {
+            line(&format!("{} is finished: kept", files.exr.display()));
+            self.totals.frames.push(json!({ "frame": frame.number, "kept": report::text(&files.exr) }));
+            return Ok(true);
+        }
+        let start = Instant::now();
+        let label = self.label(frame);
+        let mut progress = Progress::new(&label);
+        let mut renderer = self.renderer(frame)?;
+        if resume {
+            renderer.restore(&files.checkpoint)?;
+            progress.start_at(f64::from(renderer.samples_done()) / f64::from(frame.settings.spp));
+        }
+        let resumed = renderer.samples_done();
+        let finished = self.trace(&mut renderer, files, &mut progress)?;
+        drop(progress);
+        if !finished {
+            write_checkpoint(&renderer, files)?;
+        }
+        let mut image = renderer.image()?;
+        self.describe(frame, &mut image);
+        self.totals.render_wall_ms += start.elapsed().as_secs_f64() * 1e3;
+        self.totals.skipped = renderer.stats()?.skipped;
+        if finished {
+            self.reconstruct(&mut renderer, &mut image)?;
+        }
+        let write = Instant::now();
+        let outputs = files.write(&image, self.args.exposure)?;
+        if finished && files.checkpoint.exists() {
+            std::fs::remove_file(&files.checkpoint).map_err(|e| Error::io(&files.checkpoint, e))?;
+        }
+        self.totals.write_ms += write.elapsed().as_secs_f64() * 1e3;
+        self.totals.outputs.extend(outputs.iter().map(|path| report::text(path)));
+        if !finished {
+            self.totals.outputs.push(report::text(&files.checkpoint));
+        }
+        self.count(&renderer, frame, &image, resumed)?;
+        self.renderer = Some(renderer);
+        Ok(finished)
+    }
+
+    fn label(&self, frame: &Frame) -> String {
+        let (s, camera) = (&frame.settings, &frame.scene.camera);
+        let number = frame.number.map_or(String::new(), |t| format!(" frame {t}"));
+        format!(
+            "render {}{number} {}x{}, {} spp, {}+{}",
+            self.args.scene, camera.width, camera.height, s.spp, s.estimator, s.sampler
+        )
+    }
+
+    /// The last frame's renderer where it serves this one too.
+    fn renderer(&mut self, frame: &Frame) -> Result<Renderer> {
+        let size = (frame.scene.camera.width, frame.scene.camera.height);
+        let features = Features::new(&frame.scene, &frame.settings);
+        match self.renderer.take() {
+            Some(mut renderer) if renderer.size() == size && *renderer.features() == features => {
+                renderer.set_scene(&frame.scene)?;
+                renderer.set_seed(frame.settings.seed);
+                Ok(renderer)
+            }
+            _ => Renderer::new(&self.gpu, &frame.scene, &frame.settings),
+        }
+    }
+
+    /// Traces all samples; false where a signal came before the last.
+    fn trace(&self, renderer: &mut Renderer, files: &Files, progress: &mut Progress) -> Result<bool> {
+        let (mut saved, mut cost) = (Instant::now(), Duration::ZERO);
+        let (width, height) = renderer.size();
+        let samples = f64::from(width) * f64::from(height) * f64::from(renderer.settings().spp);
+        loop {
+            let step = renderer.advance()?;
+            if step.done() {
+                return Ok(true);
+            }
+            progress.update(step.fraction, samples, "samples");
+            if self.stop.requested().is_some() {
+                return Ok(false);
+            }
+            if saved.elapsed() >= CHECKPOINT_INTERVAL.max(CHECKPOINT_SHARE * cost) {
+                let begin = Instant::now();
+                write_checkpoint(renderer, files)?;
+                cost = begin.elapsed();
+                saved = Instant::now();
+            }
+        }
+    }
+
+    /// What the renderer does not know.
+    fn describe(&self, frame: &Frame, image: &mut Image) {
+        let mut set = |name: &str, value: String| image.attributes.insert(name.to_owned(), value);
+        set("scene", self.args.scene.clone());
+        set("limpid", env!("CARGO_PKG_VERSION").to_owned());
+        if frame.family {
+            set("familyVersion", family::FAMILY_VERSION.to_string());
+        }
+        if let Some(t) = frame.number {
+            set("frame", t.to_string());
+        }
+    }
+
+    fn reconstruct(&mut self, renderer: &mut Renderer, image: &mut Image) -> Result<()> {
+        let Some(network) = &mut self.network else { return Ok(()) };
+        let start = Instant::now();
+        let progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
+        let outputs = renderer.outputs()?;
+        match network.run(&self.gpu, [&outputs.radiance, &outputs.screen], image)? {
+            Some(timings) => self.totals.reconstruct_device_ms += timings.device_ms,
+            None => self.totals.skipped.push("the reconstruction: no pixel is noisy".into()),
+        }
+        drop(progress);
+        self.totals.reconstruct_wall_ms += start.elapsed().as_secs_f64() * 1e3;
+        Ok(())
+    }
+
+    fn count(&mut self, renderer: &Renderer, frame: &Frame, image: &Image, resumed: u32) -> Result<()> {
+        let stats = renderer.stats()?;
+        let totals = &mut self.totals;
+        totals.rays += stats.rays;
+        totals.samples += stats.samples;
+        totals.invalid += stats.invalid;
+        totals.render_device_ms += stats.device_ms;
+        totals.frames.push(json!({
+            "frame": frame.number,
+            "seed": frame.settings.seed,
+            "scene_hash": image.attributes.get("sceneHash"),
+            "spp_done": renderer.samples_done(),
+            "spp_resumed": resumed,
+            "render_device_ms": report::ms(stats.device_ms),
+            "dispatches": stats.dispatches,
+            "longest_dispatch_ms": report::ms(stats.longest_dispatch_ms),
+            "rays": stats.rays,
+        }));
+        Ok(())
+    }
+
+    /// Whether the file on disk is what this render would make.
+    fn is_done(&self, frame: &Frame, files: &Files) -> bool {
+        let Ok(image) = exr::read(&files.exr) else { return false };
+        let s = &frame.settings;
+        let wanted = [
+            ("spp", s.spp.to_string()),
+            ("seed", s.seed.to_string()),
+            ("bounces", s.bounces.to_string()),
+            ("estimator", s.estimator.to_string()),
+            ("sampler", s.sampler.to_string()),
+            ("aa", s.aa.to_string()),
+            ("sceneHash", frame.scene.hash()),
+            ("device", self.gpu.info().name.clone()),
+            ("driver", self.gpu.info().driver.clone()),
+        ];
+        let weights = self.network.as_ref().map(Reconstruction::sha256);
+        wanted.iter().all(|(name, value)| image.attributes.get(*name) == Some(value))
+            && image.attributes.get("weights").map(String::as_str) == weights
+            && image.has_rgb("variance") == (s.batch_size() > 0)
+    }
+
+    /// For people: what was done and how fast.
+    pub fn summary(&self, last: &Frame, signal: Option<Signal>, wall_ms: f64) -> Result<()> {
+        let totals = &self.totals;
+        let seconds = totals.render_device_ms * 1e-3;
+        if seconds > 0.0 {
+            report::print(&format!(
+                "{}: {seconds:.3} s on {}, {:.1} Mrays/s",
+                self.label(last),
+                self.gpu.info().name,
+                totals.rays as f64 / seconds * 1e-6
+            ))?;
+        }
+        if totals.reconstruct_device_ms > 0.0 {
+            report::print(&format!("reconstruct: {:.3} s", totals.reconstruct_device_ms * 1e-3))?;
+        }
+        if totals.invalid > 0 {
+            report::print(&format!("{} samples were not finite and were dropped", totals.invalid))?;
+        }
+        if !totals.outputs.is_empty() {
+            report::print(&format!("wrote {} in {}", totals.outputs.join(", "), duration(wall_ms * 1e-3)))?;
+        }
+        if let Some(signal) = signal {
+            line(&format!("ended by {}; the same command with --resume goes on", signal.name()));
+        }
+        Ok(())
+    }
+}
+
+fn write_checkpoint(renderer: &Renderer, files: &Files) -> Result<()> {
+    let bytes = renderer.checkpoint_bytes()?;
+    file::write_atomically(&files.checkpoint, |out| {
+        out.write_all(&bytes).map_err(|error| Error::io(&files.checkpoint, error))
+    })
+}

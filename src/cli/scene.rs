@@ -1,0 +1,44 @@
+//! `limpid scene`: a scene as Mitsuba 3 XML.
+
+use super::report;
+use limpid::Result;
+use limpid::image::file;
+use limpid::scene::mitsuba;
+use std::path::PathBuf;
+
+/// Write a scene as Mitsuba 3 XML
+///
+/// `limpid render` reads the file back to the same bits, and Mitsuba 3 renders it as it is.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// `spheres` (the canonical frame), `spheres:N` (scene N of the random family) or a Mitsuba 3 XML file
+    #[arg(default_value = "spheres")]
+    scene: String,
+    /// XML file to write [default: standard output]
+    #[arg(short, long, value_name = "OUT.xml")]
+    output: Option<PathBuf>,
+    /// Frame of the animation of `spheres:N`
+    #[arg(long, value_name = "T")]
+    frame: Option<u32>,
+    /// Image size that the file states, e.g. 640x480
+    #[arg(long, value_name = "WxH", value_parser = super::render::parse_size)]
+    size: Option<(u32, u32)>,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<u8> {
+    let spec: limpid::scene::Spec = args.scene.parse()?;
+    let options = mitsuba::Options { size: args.size, ..mitsuba::Options::default() };
+    let loaded = match args.frame {
+        Some(t) => spec.load_frame(t, &options)?,
+        None => spec.load(&options)?,
+    };
+    let xml = mitsuba::write(&loaded.scene);
+    match &args.output {
+        Some(path) => file::write_atomically(path, |out| {
+            out.write_all(xml.as_bytes()).map_err(|error| limpid::Error::io(path, error))
+        })?,
+        None => report::print(xml.trim_end())?,
+    }
+    Ok(0)
+}

@@ -1,0 +1,133 @@
+//! `limpid denoise` and `limpid compare`.
+
+mod cli_support;
+
+use cli_support::Cli;
+use limpid::image::{Image, exr};
+
+const DENOISE: [&str; 3] = ["--denoise", "--weights", "w.safetensors"];
+
+fn denoise(cli: &Cli, input: &str, output: &str) {
+    cli.ok(&["denoise", input, "-o", output, "--weights", "w.safetensors", "--validation"]);
+}
+
+#[test]
+fn denoise_equals_render_denoise() {
+    let cli = Cli::new();
+    cli.weights();
+    for camera in [&[][..], &["--aa"][..]] {
+        let args = [&["spheres:5", "--size", "45x33", "--spp", "3"], camera].concat();
+        cli.render(&[&args[..], &["-o", "noisy.exr"]].concat());
+        cli.render(&[&args[..], &DENOISE, &["-o", "whole.exr"]].concat());
+        denoise(&cli, "noisy.exr", "a.exr");
+        assert_eq!(cli.bytes("a.exr"), cli.bytes("whole.exr"), "{camera:?}");
+        assert_eq!(cli.bytes("a.compare.png"), cli.bytes("whole.compare.png"), "{camera:?}");
+        // A picture that was reconstructed before begins with its noisy channels.
+        denoise(&cli, "whole.exr", "b.exr");
+        assert_eq!(cli.bytes("b.exr"), cli.bytes("whole.exr"), "{camera:?}");
+        let (noisy, whole) = (cli.image("noisy.exr"), cli.image("whole.exr"));
+        assert_eq!(noisy.rgb("").unwrap(), whole.rgb("noisy").unwrap());
+        let [r, g, b] = whole.rgb("albedo").unwrap();
+        let changed = |i: usize| whole.channels["G"][i] != whole.channels["noisy.G"][i];
+        let exact = |i: usize| r[i] + g[i] + b[i] == 0.0;
+        let count = |f: &dyn Fn(usize) -> bool| (0..whole.pixel_count()).filter(|&i| f(i)).count();
+        assert_eq!(count(&|i| exact(i) && changed(i)), 0, "{camera:?}");
+        assert!(count(&exact) > 0, "{camera:?}: no exact pixel to speak of");
+        assert!(count(&|i| changed(i)) > whole.pixel_count() / 2, "{camera:?}");
+    }
+}
+
+#[test]
+fn where_nothing_is_noisy_nothing_is_reconstructed() {
+    let cli = Cli::new();
+    cli.weights();
+    let report = cli.report(&[&DENOISE[..], &["-o", "a.exr", "--size", "24x24", "--bounces", "0"]].concat());
+    let skipped = report["skipped"].to_string();
+    assert!(skipped.contains("reconstruction"), "{skipped}");
+    assert_eq!(report["ms"]["reconstruct_device"], 0.0);
+    let image = cli.image("a.exr");
+    assert_eq!(image.rgb("").unwrap(), image.rgb("noisy").unwrap());
+    denoise(&cli, "a.exr", "b.exr");
+    assert_eq!(cli.bytes("a.exr"), cli.bytes("b.exr"));
+}
+
+#[test]
+fn what_cannot_be_denoised() {
+    let cli = Cli::new();
+    cli.weights();
+    cli.render(&["-o", "a.exr", "--size", "8x8", "--spp", "1"]);
+    let mut image = cli.image("a.exr");
+    image.channels.remove("Z");
+    image.channels.remove("albedo.G");
+    exr::write(&image, cli.path("b.exr")).unwrap();
+    let run = |input: &str, weights: &str, parts: &[&str]| {
+        cli.fails(&["denoise", input, "-o", "c.exr", "--weights", weights], 2, parts);
+    };
+    run("b.exr", "w.safetensors", &["b.exr", "albedo.G, Z", "limpid render"]);
+    run("none.exr", "w.safetensors", &["none.exr"]);
+    run("a.exr", "none.safetensors", &["none.safetensors"]);
+    let bytes = cli.bytes("w.safetensors");
+    std::fs::write(cli.path("cut.safetensors"), &bytes[..bytes.len() / 2]).unwrap();
+    run("a.exr", "cut.safetensors", &["cut.safetensors", "not a whole safetensors file"]);
+    let bytes = cli.bytes("a.exr");
+    for length in [0, 3, 100, bytes.len() / 2, bytes.len() - 1] {
+        std::fs::write(cli.path("cut.exr"), &bytes[..length]).unwrap();
+        run("cut.exr", "w.safetensors", &["cut.exr"]);
+    }
+    std::fs::write(cli.path("cut.exr"), cli.bytes("a.png")).unwrap();
+    run("cut.exr", "w.safetensors", &["cut.exr", "not an OpenEXR file"]);
+}
+
+#[test]
+fn weights_of_other_inputs_are_refused() {
+    use limpid::net::{architecture::Architecture, weights::Weights};
+    let cli = Cli::new();
+    let mut weights = Weights::glorot(&Architecture::seed(), 1);
+    weights.save(&cli.path("a.safetensors")).unwrap();
+    weights.metadata.insert("inputs".into(), "smell".into());
+    weights.save(&cli.path("b.safetensors")).unwrap();
+    let run = |file: &str, found: &str| {
+        cli.fails(&["render", "--size", "8x8", "--denoise", "--weights", file], 2, &[file, "inputs", found]);
+    };
+    run("a.safetensors", "none");
+    run("b.safetensors", "smell");
+}
+
+#[test]
+fn comparisons() {
+    let cli = Cli::new();
+    cli.weights();
+    cli.render(&[&["-o", "a.exr", "--size", "40x40", "--spp", "2"], &DENOISE[..]].concat());
+    cli.render(&["-o", "r.exr", "--size", "40x40", "--spp", "64", "--seed", "1"]);
+    let report: serde_json::Value =
+        serde_json::from_str(&cli.ok(&["compare", "a.exr", "r.exr", "--json"])).expect("JSON");
+    let expected = limpid::metrics::compare(&cli.image("a.exr"), &cli.image("r.exr")).unwrap();
+    assert_eq!(report["all"], printed(&expected.all));
+    assert_eq!(report["surface"], printed(&expected.surface));
+    let noisy = limpid::metrics::compare_channels(&cli.image("a.exr"), "noisy", &cli.image("r.exr"), "").unwrap();
+    assert_eq!(report["noisy"], printed(&noisy));
+    let text = cli.ok(&["compare", "a.exr", "r.exr"]);
+    assert!(text.contains(&format!("{:.6}", expected.all.mae01)) && text.contains("noisy surface"), "{text}");
+    let same: serde_json::Value =
+        serde_json::from_str(&cli.ok(&["compare", "r.exr", "r.exr", "--json"])).expect("JSON");
+    assert_eq!(same["all"]["mae01"], 0.0);
+    assert!(same["all"]["psnr"].is_null());
+    let help = cli.ok(&["compare", "--help"]);
+    for figure in ["mae01", "relmse", "psnr", "ssim", "flip"] {
+        assert!(help.contains(&format!("  {figure}")), "{figure}: {help}");
+    }
+    exr::write(&Image { width: 2, ..image_of_one(2) }, cli.path("s.exr")).unwrap();
+    cli.fails(&["compare", "a.exr", "s.exr"], 2, &["40x40", "2x1"]);
+    cli.fails(&["compare", "a.exr", "none.exr"], 2, &["none.exr"]);
+}
+
+/// Numbers as they are after printing and reading.
+fn printed(value: &impl serde::Serialize) -> serde_json::Value {
+    serde_json::from_str(&serde_json::to_string(value).expect("text")).expect("JSON")
+}
+
+fn image_of_one(width: u32) -> Image {
+    let mut image = Image::new(width, 1);
+    image.set_rgb("", [0.0, 0.5, 1.0].map(|v| vec![v; width as usize]));
+    image
+}
