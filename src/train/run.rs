@@ -44,7 +44,7 @@ pub struct RunState {
     pub init: Option<String>,
     /// Steps done.
     pub step: u64,
-    /// Seconds spent so far, over all sessions.
+    /// Seconds spent so far, those before a resume included.
     pub seconds: f64,
     /// f64 bits of the first losses.
     pub first_losses: Vec<String>,
