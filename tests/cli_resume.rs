@@ -29,12 +29,15 @@ fn an_interrupted_render_resumes_to_the_same_bits() {
     cli.ok(&[&LONG[..], &["-o", "whole.exr"]].concat());
     let args = [&LONG[..], &["-o", "a.exr"]].concat();
     let resumed = [&args[..], &["--resume"]].concat();
+    let mut last = 0;
     for (args, signal, code) in [(&args, "TERM", 143), (&resumed, "INT", 130)] {
         let (status, report) = interrupt(&cli, args, signal);
         assert_eq!(status, Some(code), "{report}");
         assert_eq!(report["interrupted"], format!("SIG{signal}"));
         let done = report["frames"][0]["spp_done"].as_u64().expect("samples");
-        assert!(done < 1024, "{report}");
+        assert!(done > last && done < 1024, "{report}");
+        assert_eq!(report["frames"][0]["spp_resumed"], last);
+        last = done;
         assert_eq!(cli.names(), ["a.exr", "a.exr.checkpoint", "a.png", "whole.exr", "whole.png"]);
         let image = cli.image("a.exr");
         assert_eq!(image.attributes["spp"], done.to_string());
@@ -42,6 +45,7 @@ fn an_interrupted_render_resumes_to_the_same_bits() {
     }
     let report: serde_json::Value = serde_json::from_str(&cli.ok(&resumed)).expect("JSON");
     assert!(report["interrupted"].is_null());
+    assert_eq!(report["frames"][0]["spp_resumed"], last);
     assert_eq!(cli.names(), ["a.exr", "a.png", "whole.exr", "whole.png"]);
     assert_eq!(cli.bytes("a.exr"), cli.bytes("whole.exr"));
     assert_eq!(cli.bytes("a.png"), cli.bytes("whole.png"));

@@ -63,7 +63,7 @@ pub fn one_line(message: &str) -> String {
         }
         line += part.strip_suffix('.').unwrap_or(part);
     }
-    line
+    line.replace("For more information", "for more information")
 }
 
 #[cfg(test)]
@@ -81,7 +81,7 @@ mod tests {
         let text = "error: unexpected argument '--sp' found\n\n  tip: a similar argument exists: '--spp'\n\nUsage: limpid render\n\nFor more information, try '--help'.\n";
         assert_eq!(
             one_line(text),
-            "unexpected argument '--sp' found; tip: a similar argument exists: '--spp'; For more information, try '--help'"
+            "unexpected argument '--sp' found; tip: a similar argument exists: '--spp'; for more information, try '--help'"
         );
         assert_eq!(one_line("error: not provided:\n  <REF.exr>\n"), "not provided: <REF.exr>");
     }

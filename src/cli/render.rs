@@ -23,6 +23,7 @@ use std::time::Instant;
 /// SIGINT and SIGTERM end a render after the dispatch in flight: it writes the picture so far and OUT.exr.checkpoint, with
 /// which --resume goes on to the same bits. Renders of over a minute keep such a checkpoint as they go.
 #[derive(Debug, clap::Args)]
+#[command(allow_negative_numbers = true)]
 pub struct Args {
     /// `spheres` (the canonical frame), `spheres:N` (scene N of the random family) or a Mitsuba 3 XML file
     #[arg(default_value = "spheres")]
@@ -64,7 +65,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE", requires = "denoise")]
     pub weights: Option<PathBuf>,
     /// Brightness of the PNG files only, in EV
-    #[arg(long, value_name = "EV", default_value = "0", allow_negative_numbers = true, value_parser = parse_exposure)]
+    #[arg(long, value_name = "EV", default_value = "0", value_parser = parse_exposure)]
     pub exposure: f32,
     /// Go on from the checkpoint of an interrupted render; finished frames are kept
     #[arg(long)]

@@ -19,7 +19,7 @@ pub fn print_json(value: &Value) -> Result<()> {
     print(&format!("{value:#}"))
 }
 
-/// What every report says: the command, versions, the device and its environment, peak bytes.
+/// What every report says: the command, versions, the device and its environment, peak bytes of buffers and of the process.
 pub fn header(command: &str, gpu: &Gpu) -> Map<String, Value> {
     let mut map = Map::new();
     map.insert("command".into(), command.into());
@@ -27,7 +27,15 @@ pub fn header(command: &str, gpu: &Gpu) -> Map<String, Value> {
     map.insert("device".into(), json!(gpu.info()));
     map.insert("environment".into(), environment());
     map.insert("peak_device_bytes".into(), gpu.peak_bytes().into());
+    map.insert("peak_process_bytes".into(), peak_process_bytes().into());
     map
+}
+
+/// The most memory that this process has had resident; none where the system does not tell.
+fn peak_process_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.split_whitespace().next()?.parse::<u64>().ok().map(|kib| kib << 10)
 }
 
 /// The driver's environment switches.
