@@ -19,6 +19,8 @@ push_block! {
     pub struct ProbePush for shaders::transfer_probe { count: u32, exposure: f32 }
 }
 
+/// Where the exposure puts the geometric mean of a frame's luminance. Weights are trained with it.
+const KEY: f64 = 0.5;
 /// Spacing of f32 at 1.
 const ULP: f64 = 1.0 / (1 << 23) as f64;
 
@@ -81,7 +83,7 @@ impl Frame {
         (self.width as u32, self.height as u32)
     }
 
-    /// Exposure and 1 / depth: 0.18 over the geometric mean, over blocks of 16x16 pixels, of their mean luminance, blocks
+    /// Exposure and 1 / depth: the key over the geometric mean, over blocks of 16x16 pixels, of their mean luminance, blocks
     /// that are dark left out; and the largest depth.
     fn stats(&self) -> (f64, f64) {
         let mut logs = Vec::new();
@@ -102,7 +104,7 @@ impl Frame {
                 }
             }
         }
-        let exposure = if logs.is_empty() { 1.0 } else { 0.18 / (logs.iter().sum::<f64>() / logs.len() as f64).exp2() };
+        let exposure = if logs.is_empty() { 1.0 } else { KEY / (logs.iter().sum::<f64>() / logs.len() as f64).exp2() };
         let usable = self.screen.iter().map(|s| f64::from(s[2])).filter(|d| *d > 0.0 && *d < 1e30);
         let depth = usable.fold(0.0, f64::max);
         (exposure, if depth > 0.0 { 1.0 / depth } else { 1.0 })
@@ -447,8 +449,8 @@ fn extreme_frames_stay_finite() {
         finite(&format!("seed, {radiance:e}"), &seed, &frame);
         let planes = finite(&format!("identity, {radiance:e}"), &identity, &frame);
         if radiance < 1e30 {
-            // Exposed to 0.18, but for what is too dark for that.
-            let x = if radiance < 1e-8 { f64::from(radiance) } else { 0.18 };
+            // Exposed to the key, but for what is too dark for that.
+            let x = if radiance < 1e-8 { f64::from(radiance) } else { KEY };
             let tolerance = 1.001 * round_trip_bound(x);
             let expected = vec![radiance; 33 * 17];
             for plane in &planes {
