@@ -78,8 +78,7 @@ fn convolutions(c: &mut Criterion) {
         let transposed = conv.packed_transposed.as_ref().expect("made for training");
         let backward = conv2d::Pass { x: &y, weight: transposed, bias: &zero, y: &x, slope: 1.0 };
         bench_commands(&mut group, "dgrad", commands(&gpu, |rec| conv2d::record(&gpu, rec, family, &backward)));
-        let weight_grad =
-            commands(&gpu, |rec| conv_grad::weight_grad(&gpu, rec, family, conv.layer, &scratch, &x, &y, &dw));
+        let weight_grad = commands(&gpu, |rec| conv_grad::weight_grad(&gpu, rec, conv.layer, &scratch, &x, &y, &dw));
         bench_commands(&mut group, "wgrad", weight_grad);
     }
 }

@@ -150,7 +150,9 @@ fn input_pixel(radiance: [f32; 4], normal: [f32; 2], depth: f32, (exposure, scal
 /// mirrored in x, then in y, then transposed.
 fn expected_input(frame: &Frame, crop: Crop, stats: (f64, f64)) -> (Vec<f64>, Vec<f64>) {
     let (width, height) = (crop.width as usize, crop.height as usize);
-    let mut pixels: Vec<Option<([f32; 4], [f32; 2], f32)>> = Vec::new();
+    // Radiance, normal and depth.
+    type Pixel = ([f32; 4], [f32; 2], f32);
+    let mut pixels: Vec<Option<Pixel>> = Vec::new();
     for y in crop.y as usize..crop.y as usize + height {
         for x in crop.x as usize..crop.x as usize + width {
             let at = y * frame.width + x;

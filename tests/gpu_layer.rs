@@ -137,7 +137,8 @@ fn barriers_are_where_ranges_conflict() {
         record(&mut chain);
         chain.finish().0
     };
-    let cases: [(&str, &str, &dyn Fn(&mut Chain)); 8] = [
+    type Row<'a> = (&'a str, &'a str, &'a dyn Fn(&mut Chain));
+    let cases: [Row; 8] = [
         ("read after write", "l|l", &|c| {
             let [a, b, d] = [0, 1, 2].map(|i| c.quarter(i));
             c.dispatch(&a, &b);

@@ -112,7 +112,7 @@ fn check_conv(gpu: &Gpu, family: Family, case: &Case, input: Channels) -> Result
     let dw = gpu.buffer("dw", data.weight.data.len() as u64 * 4).unwrap();
     let db = gpu.buffer("db", data.bias.len() as u64 * 4 + 256).unwrap();
     run(gpu, |rec| {
-        conv_grad::weight_grad(gpu, rec, family, c.layer, &scratch, &c.x, &c.dy, &dw.all()).unwrap();
+        conv_grad::weight_grad(gpu, rec, c.layer, &scratch, &c.x, &c.dy, &dw.all()).unwrap();
         conv_grad::bias_grad(gpu, rec, c.layer, &scratch, &c.dy, &db.all()).unwrap();
     });
     let values: Vec<f32> = gpu.download(&dw.all()).unwrap();

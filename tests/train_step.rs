@@ -253,7 +253,7 @@ fn long_sums_of_weight_and_bias_gradients() {
         let dw = gpu.buffer("dw", weight.len() as u64 * 4).unwrap();
         let db = gpu.buffer("db", 256).unwrap();
         let mut rec = gpu.recorder();
-        conv_grad::weight_grad(&gpu, &mut rec, family, layer, &scratch, &device_x, &device_dy, &dw.all()).unwrap();
+        conv_grad::weight_grad(&gpu, &mut rec, layer, &scratch, &device_x, &device_dy, &dw.all()).unwrap();
         conv_grad::bias_grad(&gpu, &mut rec, layer, &scratch, &device_dy, &db.all()).unwrap();
         let mut commands = rec.finish().unwrap();
         hazard::check(commands.events()).unwrap();

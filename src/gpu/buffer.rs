@@ -33,7 +33,7 @@ fn allocate(
         |message: String| Error::OutOfMemory(format!("{name} needs {} MiB: {message}", bytes.div_ceil(1 << 20)));
     let most = shared.info.max_allocation;
     if bytes > most {
-        return Err(too_large(format!("one allocation may have {} MiB", most >> 20)));
+        return Err(too_large(format!("one allocation may have {} MiB: use a smaller image or batch", most >> 20)));
     }
     let info = vk::BufferCreateInfo::default().size(bytes).usage(usage).sharing_mode(vk::SharingMode::EXCLUSIVE);
     // SAFETY: the device is live; on failure below the buffer is destroyed and never used.
@@ -46,7 +46,7 @@ fn allocate(
         too_large(message)
     };
     if requirements.size > most {
-        return Err(fail(format!("one allocation may have {} MiB", most >> 20)));
+        return Err(fail(format!("one allocation may have {} MiB: use a smaller image or batch", most >> 20)));
     }
     let desc = AllocationCreateDesc {
         name,

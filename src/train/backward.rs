@@ -108,16 +108,7 @@ impl Backward {
         let family = parameters.family();
         let flat = |slice: &Slice, at: usize| self.flat.slice(at as u64 * 4, slice.bytes());
         let weight_grad = flat(&conv.weight, conv.at.0);
-        conv_grad::weight_grad(
-            &self.gpu,
-            rec,
-            family,
-            conv.layer,
-            &self.scratch,
-            &plan.values[input],
-            dy,
-            &weight_grad,
-        )?;
+        conv_grad::weight_grad(&self.gpu, rec, conv.layer, &self.scratch, &plan.values[input], dy, &weight_grad)?;
         conv_grad::bias_grad(&self.gpu, rec, conv.layer, &self.scratch, dy, &flat(&conv.bias, conv.at.1))?;
         let weight = conv.packed_transposed.as_ref().expect("parameters made for training");
         self.into(rec, written, input, |rec, dx| {

@@ -50,6 +50,7 @@ const LOCAL: u32 = 64;
 
 /// Buffers that the weight gradients of a network's layers use one after another.
 pub struct Scratch {
+    family: Family,
     partial: Buffer,
     transposed: Option<Buffer>,
 }
@@ -101,7 +102,7 @@ impl Scratch {
             Family::Portable => None,
             Family::Cpu { .. } => Some(gpu.buffer("transposed gradient", most(&transposed_bytes))?),
         };
-        Ok(Self { partial: gpu.buffer("partial sums", partial)?, transposed })
+        Ok(Self { family, partial: gpu.buffer("partial sums", partial)?, transposed })
     }
 }
 
@@ -109,14 +110,13 @@ impl Scratch {
 pub fn weight_grad(
     gpu: &Gpu,
     rec: &mut Recorder,
-    family: Family,
     layer: Layer,
     scratch: &Scratch,
     x: &DeviceTensor,
     dy: &DeviceTensor,
     out: &Slice,
 ) -> Result<()> {
-    let s = x.shape;
+    let (s, family) = (x.shape, scratch.family);
     let Split { splits, co_blocks } = split(family, layer, &s);
     let (cin4, cout) = (s.c.texels(), dy.shape.c.texels() * 4);
     let partial = scratch.partial.slice(0, partial_bytes(family, layer, &s));
