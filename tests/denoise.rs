@@ -9,9 +9,11 @@ use common::networks::linear;
 use limpid::denoise::{Crop, Denoiser, FrameStats, INPUTS, TRANSFER, check_weights, record_input};
 use limpid::gpu::{Gpu, Slice, hazard};
 use limpid::net::architecture::{Architecture, Op, Row};
+use limpid::net::device::groups;
 use limpid::net::reference;
 use limpid::net::tensor::{Tensor, seed_of, uniform};
 use limpid::net::weights::Weights;
+use limpid::train::data::TargetPush;
 use limpid::{push_block, shaders};
 
 push_block! {
@@ -305,6 +307,68 @@ fn past_the_frame_is_zero() {
         let (expected, bound) = expected_input(&frame, crop, (stats.0.into(), stats.1.into()));
         assert!(bound.iter().filter(|b| **b > 0.0).count() == 13 * 21 * 4, "the host's padding has a tolerance");
         require(&format!("{crop:?}"), within(&input_on_device(&gpu, &frame, crop, stats), &expected, &bound));
+    }
+}
+
+/// 4.2 million pixels, 135 MiB of input: more than a storage binding. Black but for the last rows.
+#[test]
+fn the_input_of_a_frame_larger_than_a_storage_binding() {
+    let gpu = gpu();
+    let (width, height) = (2048u64, 2056u64);
+    if gpu.info().is_cpu {
+        assert!(width * height * 32 > gpu.info().max_storage_range, "the test shows nothing");
+    }
+    let last = Frame::random(width as usize, 2);
+    let plane = |name: &str, rows: &[[f32; 4]]| {
+        let buffer = gpu.buffer(name, width * height * 16).unwrap();
+        gpu.upload(&buffer.slice(width * (height - 2) * 16, width * 32), rows).unwrap();
+        buffer.all()
+    };
+    let (radiance, screen) = (plane("radiance", &last.radiance), plane("screen", &last.screen));
+    let out = gpu.buffer("input", width * height * 32).unwrap();
+    let stats = stats_on_device(&gpu, (0.37, 0.21));
+    let crop = Crop { x: 0, y: 0, width: width as u32, height: height as u32, orientation: 0 };
+    let mut rec = gpu.recorder();
+    let frame = [&radiance, &screen, &stats];
+    record_input(&gpu, &mut rec, frame, (crop.width, crop.height), crop, &out.all()).unwrap();
+    rec.finish().unwrap().run().unwrap();
+    let actual: Vec<f32> = gpu.download(&out.slice(width * (height - 2) * 32, width * 64)).unwrap();
+    let (expected, bound) = expected_input(&last, Crop { height: 2, ..crop }, (0.37f32.into(), 0.21f32.into()));
+    require("the last rows", within(&actual, &expected, &bound));
+    let first: Vec<f32> = gpu.download(&out.slice(0, 256)).unwrap();
+    // No radiance, no normal, no depth: a miss.
+    assert!(first.chunks(8).all(|p| p == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]), "{first:?}");
+}
+
+/// Input and target are one picture: the target of what the input shows is the input's color, however it is turned.
+#[test]
+fn targets_turn_with_their_inputs() {
+    let (gpu, frame) = (gpu(), Frame::random(40, 33).damaged());
+    let kernel = gpu.kernel::<shaders::network_target::Shader>(&Default::default()).unwrap();
+    let [radiance, _] = frame.upload(&gpu);
+    for orientation in 0..8 {
+        let (x0, y0, size) = (5, 9, 23);
+        let crop = Crop { x: x0, y: y0, width: size, height: size, orientation };
+        let input = input_on_device(&gpu, &frame, crop, (0.37, 0.21));
+        let bytes = u64::from(size * size) * 16;
+        let y = gpu.buffer("target", bytes).unwrap().slice(0, bytes);
+        let push = TargetPush {
+            count: size * size,
+            width: 40,
+            crop_width: size as i32,
+            crop_height: size as i32,
+            x0: x0 as i32,
+            y0: y0 as i32,
+            orientation,
+        };
+        let stats = stats_on_device(&gpu, (0.37, 0.21));
+        let bind = shaders::network_target::Bind { radiance: radiance.clone(), stats, y: y.clone() };
+        let mut rec = gpu.recorder();
+        rec.dispatch(&kernel, &bind, &push, groups(u64::from(size * size)));
+        rec.finish().unwrap().run().unwrap();
+        let target: Vec<f32> = gpu.download(&y).unwrap();
+        let expected: Vec<f32> = input.chunks(8).flat_map(|p| [p[0], p[1], p[2], 0.0]).collect();
+        require(&format!("orientation {orientation}"), same_bits(&target, &expected));
     }
 }
 

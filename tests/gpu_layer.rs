@@ -138,7 +138,7 @@ fn barriers_are_where_ranges_conflict() {
         chain.finish().0
     };
     type Row<'a> = (&'a str, &'a str, &'a dyn Fn(&mut Chain));
-    let cases: [Row; 8] = [
+    let cases: [Row; 9] = [
         ("read after write", "l|l", &|c| {
             let [a, b, d] = [0, 1, 2].map(|i| c.quarter(i));
             c.dispatch(&a, &b);
@@ -175,6 +175,12 @@ fn barriers_are_where_ranges_conflict() {
             c.rec.fill_zero(&a);
             c.rec.copy(&a, &b);
             c.rec.fill_zero(&d);
+        }),
+        ("a conflict with all but the last operation", "ff|c", &|c| {
+            let [a, b, d] = [0, 1, 2].map(|i| c.quarter(i));
+            c.rec.fill_zero(&a);
+            c.rec.fill_zero(&b);
+            c.rec.copy(&a, &d);
         }),
         ("in place, three times", "l|l|l", &|c| {
             let a = c.quarter(0);

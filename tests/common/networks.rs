@@ -20,16 +20,18 @@ pub const fn linear(cin: usize, cout: usize) -> Op {
     Op::Conv { cin, cout, slope: None }
 }
 
-/// One pooling, one skip, channel counts that are no multiple of 4: 4 channels in, 3 out.
+/// One pooling, one skip, channel counts that are no multiple of 4, a concatenation of unequal parts, a layer of equal
+/// widths: 4 channels in, 3 out.
 pub fn tiny() -> Architecture {
     let rows: &[Row] = &[
         ("input", Op::Input { channels: 4 }, &[]),
         ("enc", conv(4, 6), &["input"]),
         ("pool", Op::MaxPool, &["enc"]),
-        ("middle", conv(6, 7), &["pool"]),
-        ("upsample", Op::Upsample, &["middle"]),
+        ("middle", conv(6, 9), &["pool"]),
+        ("second", conv(9, 9), &["middle"]),
+        ("upsample", Op::Upsample, &["second"]),
         ("concat", Op::Concat, &["upsample", "enc"]),
-        ("out", linear(13, 3), &["concat"]),
+        ("out", linear(15, 3), &["concat"]),
     ];
     Architecture::from_rows("tiny", rows).expect("the rows fit")
 }
