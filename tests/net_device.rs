@@ -4,9 +4,9 @@
 mod common;
 
 use common::compare::{l2_close, require, same_bits};
-use common::networks::{conv, cut, forward, linear, tiny, weights};
+use common::networks::{cut, forward, tiny, weights, wide};
 use common::{goldens, gpu};
-use limpid::net::architecture::{Architecture, Op, Row};
+use limpid::net::architecture::Architecture;
 use limpid::net::kernel::Family;
 use limpid::net::plan::{Fusion, Memory, Plan};
 use limpid::net::reference;
@@ -87,15 +87,7 @@ fn sizes_off_the_grid_are_refused() {
 /// reference; and the picture's left and right ends.
 #[test]
 fn tensors_larger_than_a_storage_binding() {
-    let rows: &[Row] = &[
-        ("input", Op::Input { channels: 3 }, &[]),
-        ("enc", conv(3, 60), &["input"]),
-        ("pool", Op::MaxPool, &["enc"]),
-        ("upsample", Op::Upsample, &["pool"]),
-        ("concat", Op::Concat, &["upsample", "enc"]),
-        ("out", linear(120, 3), &["concat"]),
-    ];
-    let (gpu, architecture) = (gpu(), Architecture::from_rows("wide", rows).unwrap());
+    let (gpu, architecture) = (gpu(), wide());
     let (height, width) = (800, 736);
     let weights = weights(&architecture);
     let input = input(&architecture, [1, height, width], "wide");

@@ -3,10 +3,10 @@
 mod common;
 
 use common::compare::{close, l2_close, relative_l2, require, same_bits, within};
-use common::networks::{conv, forward, linear, tiny, weights};
+use common::networks::{forward, tiny, weights, wide};
 use common::{goldens, gpu};
 use limpid::gpu::{Gpu, hazard};
-use limpid::net::architecture::{Architecture, Op, Row};
+use limpid::net::architecture::Architecture;
 use limpid::net::device::{Channels, DeviceTensor, Shape};
 use limpid::net::kernel::{Family, conv2d, max_pool2d};
 use limpid::net::layer::conv2d::{reference_bias_gradient, reference_weight_gradient, rounding_bound};
@@ -268,15 +268,7 @@ fn long_sums_of_weight_and_bias_gradients() {
 /// Gradients of 135 MiB and more: every kernel of the backward pass must cut its work into storage bindings.
 #[test]
 fn gradients_larger_than_a_storage_binding() {
-    let rows: &[Row] = &[
-        ("input", Op::Input { channels: 3 }, &[]),
-        ("enc", conv(3, 60), &["input"]),
-        ("pool", Op::MaxPool, &["enc"]),
-        ("upsample", Op::Upsample, &["pool"]),
-        ("concat", Op::Concat, &["upsample", "enc"]),
-        ("out", linear(120, 3), &["concat"]),
-    ];
-    let (gpu, architecture, adam) = (gpu(), Architecture::from_rows("wide", rows).unwrap(), Adam::default());
+    let (gpu, architecture, adam) = (gpu(), wide(), Adam::default());
     let (weights, batch) = (weights(&architecture), batch(&architecture, [4, 384, 384], "wide"));
     if gpu.info().is_cpu {
         assert!(4 * 384 * 384 * 60 * 4 > gpu.info().max_storage_range, "the test shows nothing");

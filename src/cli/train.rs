@@ -4,7 +4,7 @@ use super::device::DeviceArgs;
 use super::progress::{Progress, line};
 use super::stop::Stop;
 use limpid::gpu::Gpu;
-use limpid::image::file::{writable, write_atomically};
+use limpid::image::file::writable;
 use limpid::net::architecture::Architecture;
 use limpid::net::weights::Weights;
 use limpid::train::checkpoint;
@@ -206,8 +206,7 @@ fn initial_weights(args: &Args, architecture: &Architecture, seed: u64) -> Resul
 fn save(run: &Run, gpu: &Gpu, checkpoint_path: &Path, output: &Path, command: &str) -> Result<()> {
     let weights = run.weights(&format!("{} ({})", gpu.info().name, gpu.info().driver), command)?;
     checkpoint::save(checkpoint_path, &run.state, &weights, &run.moments()?)?;
-    let bytes = weights.to_bytes();
-    write_atomically(output, |out| out.write_all(&bytes).map_err(|e| Error::io(output, e)))
+    weights.save(output)
 }
 
 /// A fresh log, or the one of a resumed run cut back to the steps that its checkpoint has.

@@ -2,10 +2,10 @@
 
 use super::architecture::{Architecture, NAMES, TensorSpec};
 use super::tensor::{hash, seed_of, uniform};
+use crate::image::file::write_atomically;
 use crate::{Error, Result};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
 
 /// The metadata key of the architecture's name; every weights file has it.
@@ -105,18 +105,7 @@ impl Weights {
 
     /// Writes a safetensors file, whole or not at all.
     pub fn save(&self, path: &Path) -> Result<()> {
-        let directory = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let write = || -> std::io::Result<()> {
-            let mut builder = tempfile::Builder::new();
-            #[cfg(unix)]
-            builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-            let mut file = builder.tempfile_in(directory)?;
-            file.write_all(&self.to_bytes())?;
-            file.as_file().sync_all()?;
-            file.persist(path).map_err(|e| e.error)?;
-            Ok(())
-        };
-        write().map_err(|e| Error::io(path, e))
+        write_atomically(path, |out| out.write_all(&self.to_bytes()).map_err(|e| Error::io(path, e)))
     }
 
     /// One tensor's values, by its key.

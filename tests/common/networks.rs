@@ -36,6 +36,19 @@ pub fn tiny() -> Architecture {
     Architecture::from_rows("tiny", rows).expect("the rows fit")
 }
 
+/// 60 channels at full size, joined to 120: at large sizes its tensors exceed a storage binding.
+pub fn wide() -> Architecture {
+    let rows: &[Row] = &[
+        ("input", Op::Input { channels: 3 }, &[]),
+        ("enc", conv(3, 60), &["input"]),
+        ("pool", Op::MaxPool, &["enc"]),
+        ("upsample", Op::Upsample, &["pool"]),
+        ("concat", Op::Concat, &["upsample", "enc"]),
+        ("out", linear(120, 3), &["concat"]),
+    ];
+    Architecture::from_rows("wide", rows).expect("the rows fit")
+}
+
 /// The goldens' weights of an architecture.
 pub fn weights(architecture: &Architecture) -> Weights {
     Weights {
