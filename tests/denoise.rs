@@ -120,19 +120,19 @@ fn to_network(radiance: f32, exposure: f64) -> f64 {
 }
 
 /// What f32 may make of it, for Vulkan's precision of `log` (3 ULP, or 2^-21 where its argument is 0.5 to 2): the roundings
-/// of `x` and `1 + x` shift the logarithm by half an ULP of 1 each. Below 1e-3 there is no logarithm, but a cubic term left
-/// out.
+/// of `x` and `1 + x` shift the logarithm by half an ULP of 1 each. Below 1/64 there is a series instead: the term of x^5 is
+/// left out, and the exposure, the last difference and the last product round.
 fn to_network_bound(t: f64) -> f64 {
     let x = t.exp_m1();
-    if x < 0.999e-3 { x * (x * x / 3.0 + 2.0 * ULP) } else { 4.0 * ULP + ULP + 3.0 * ULP * t }
+    if x < 0.999 / 64.0 { x * (x.powi(4) / 5.0 + 2.0 * ULP) } else { 4.0 * ULP + ULP + 3.0 * ULP * t }
 }
 
 /// The relative error of radiance that went there and back: what the logarithm lost, stretched by the exponential, whose
-/// own precision is 3 + 2|t| ULP; a difference and a quotient (2.5 ULP). Below 1e-3 again a cubic term.
+/// own precision is 3 + 2|t| ULP; a difference and a quotient (2.5 ULP). Below 1/64 again a series.
 fn round_trip_bound(x: f64) -> f64 {
     let t = x.ln_1p();
-    if x < 0.999e-3 {
-        return x * x + 6.0 * ULP;
+    if x < 0.999 / 64.0 {
+        return x.powi(4) / 2.0 + 6.0 * ULP;
     }
     (1.0 + x) / x * (to_network_bound(t) + (3.0 + 2.0 * t) * ULP) + 4.0 * ULP
 }
