@@ -90,8 +90,14 @@ fn networks(c: &mut Criterion) {
     let mut group = group(c, "seed");
     group.throughput(operations(seed.macs_per_pixel() * 256.0 * 256.0));
     let parameters = Parameters::new(&gpu, family, &weights, false).unwrap();
-    let plan = Plan::new(&gpu, &seed, (1, 256, 256), Memory::Shared, Fusion::Activation).unwrap();
-    bench_commands(&mut group, "forward 256x256", commands(&gpu, |rec| plan.record(rec, &parameters)));
+    for (name, fusion) in [("plain", Fusion::Activation), ("fastest", Fusion::best(family))] {
+        let plan = Plan::new(&gpu, &seed, family, (1, 256, 256), Memory::Shared, fusion).unwrap();
+        bench_commands(
+            &mut group,
+            &format!("forward 256x256 {name}"),
+            commands(&gpu, |rec| plan.record(rec, &parameters)),
+        );
+    }
     // Forward, input gradient and weight gradient cost the same.
     group.throughput(operations(3.0 * seed.macs_per_pixel() * f64::from(BATCH * CROP * CROP)));
     let adam = Adam::default();

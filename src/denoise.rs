@@ -160,7 +160,7 @@ impl Denoiser {
         let parameters = Parameters::new(gpu, family, weights, false)?;
         let padded = |size: u32| weights.architecture.padded(size as usize) as u32;
         let size = (1, padded(height), padded(width));
-        let plan = Plan::new(gpu, &weights.architecture, size, Memory::Shared, Fusion::Activation)?;
+        let plan = Plan::new(gpu, &weights.architecture, family, size, Memory::Shared, Fusion::best(family))?;
         Ok(Self {
             gpu: gpu.clone(),
             size: (width, height),

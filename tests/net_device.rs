@@ -4,7 +4,7 @@
 mod common;
 
 use common::compare::{l2_close, require, same_bits};
-use common::networks::{cut, forward, tiny, weights, wide};
+use common::networks::{cut, deep, forward, tiny, weights, wide};
 use common::{goldens, gpu};
 use limpid::net::architecture::Architecture;
 use limpid::net::kernel::Family;
@@ -12,7 +12,7 @@ use limpid::net::plan::{Fusion, Memory, Plan};
 use limpid::net::reference;
 use limpid::net::tensor::Tensor;
 
-/// All ways to make a plan, the plainest first.
+/// The ways to make a plan that all families have, the plainest first; they agree bit for bit.
 const PLANS: [(Memory, Fusion); 4] = [
     (Memory::Kept, Fusion::Layers),
     (Memory::Kept, Fusion::Activation),
@@ -20,12 +20,20 @@ const PLANS: [(Memory, Fusion); 4] = [
     (Memory::Shared, Fusion::Activation),
 ];
 
+/// Plans that add in another order, for the families that have them.
+fn winograd(family: Family) -> &'static [(Memory, Fusion)] {
+    match family {
+        Family::Portable => &[],
+        Family::Cpu { .. } => &[(Memory::Kept, Fusion::Winograd), (Memory::Shared, Fusion::Winograd)],
+    }
+}
+
 fn input(architecture: &Architecture, [n, h, w]: [usize; 3], name: &str) -> Tensor<f32> {
     goldens::drawn([n, architecture.input_channels(), h, w], name)
 }
 
-/// Every family and plan against PyTorch's float64 output. All plans make the same sums in the same order, and where a
-/// value lies or which kernel applies the slope rounds nothing: they agree bit for bit.
+/// Every family and plan against PyTorch's float64 output. The plain plans make the same sums in the same order, and where a
+/// value lies or which kernel applies the slope rounds nothing: they agree bit for bit. So do both Winograd plans.
 fn matches_pytorch(architecture: &Architecture, size: [usize; 3]) {
     let (gpu, goldens) = (gpu(), goldens::read("networks"));
     let case = goldens::network_case(architecture, size);
@@ -37,6 +45,12 @@ fn matches_pytorch(architecture: &Architecture, size: [usize; 3]) {
         require(&what, l2_close(&outputs[0].data, expected, 1e-5));
         for (plan, output) in PLANS.iter().zip(&outputs).skip(1) {
             require(&format!("{what}, {plan:?}"), same_bits(&output.data, &outputs[0].data));
+        }
+        let fast: Vec<_> = winograd(family).iter().map(|plan| forward(&gpu, &weights, family, *plan, &input)).collect();
+        for output in &fast {
+            require(&format!("{what}, Winograd"), l2_close(&output.data, expected, 1e-5));
+            require(&format!("{what}, Winograd"), same_bits(&output.data, &fast[0].data));
+            assert_ne!(output.data, outputs[0].data, "{what}: another plan adds in another order");
         }
     }
 }
@@ -75,36 +89,38 @@ fn sizes_off_the_grid_are_refused() {
     let (gpu, seed) = (gpu(), Architecture::seed());
     for size in [(1, 32, 33), (1, 48, 32), (1, 1, 1), (1, 0, 32), (1, 32, 0), (0, 32, 32)] {
         for (memory, fusion) in PLANS {
-            let error = Plan::new(&gpu, &seed, size, memory, fusion).err().map(|e| e.to_string()).unwrap_or_default();
+            let error = Plan::new(&gpu, &seed, Family::Portable, size, memory, fusion)
+                .err()
+                .map(|e| e.to_string())
+                .unwrap_or_default();
             let named = error.contains(&format!("{}x{}", size.2, size.1)) && error.contains("multiples of 32");
             assert!(named, "{size:?}: {error}");
         }
     }
 }
 
-/// Tensors of 60 channels and 135 MiB, joined to one of 270 MiB: every kernel that writes them must cut its work into
-/// storage bindings of at most 128 MiB. Strips over the full height, so that no cut between rows is missed, against the
+/// A network of 60 channels at 800x736: tensors of 135 MiB. Every kernel that writes them must cut its work into storage
+/// bindings of at most 128 MiB. Strips over the full height, so that no cut between rows is missed, against the
 /// reference; and the picture's left and right ends.
-#[test]
-fn tensors_larger_than_a_storage_binding() {
-    let (gpu, architecture) = (gpu(), wide());
+fn large_tensors(architecture: &Architecture, plans: impl Fn(Family) -> Vec<(Memory, Fusion)>) {
+    let gpu = gpu();
     let (height, width) = (800, 736);
-    let weights = weights(&architecture);
-    let input = input(&architecture, [1, height, width], "wide");
+    let weights = weights(architecture);
+    let input = input(architecture, [1, height, width], "wide");
     let bytes = (60 * height * width * 4) as u64;
     if gpu.info().is_cpu {
         assert!(bytes > gpu.info().max_storage_range, "{bytes} bytes fit a binding: the test shows nothing");
     }
-    // A strip's margin: two convolutions, the outer one's taps widened to whole windows of the pooling.
-    const MARGIN: usize = 4;
+    // A strip's margin: three convolutions, the outer one's taps widened to whole windows of the pooling.
+    const MARGIN: usize = 6;
     let strips = [(0, 24), (360, 24), (width - 24, 24)].map(|(x, columns): (usize, usize)| {
         let (from, to) = (x.saturating_sub(MARGIN), (x + columns + MARGIN).min(width));
         let part = cut(&input, [0, from, height, to - from]).to_f64();
-        let output = reference::forward(&architecture, &weights.to_f64(), &part).pop().unwrap();
+        let output = reference::forward(architecture, &weights.to_f64(), &part).pop().unwrap();
         (x, cut(&output, [0, x - from, height, columns]))
     });
     for family in Family::all(gpu.info()) {
-        for plan in [(Memory::Shared, Fusion::Layers), (Memory::Shared, Fusion::Activation)] {
+        for plan in plans(family) {
             let output = forward(&gpu, &weights, family, plan, &input);
             for (x, expected) in &strips {
                 for y in (0..height).step_by(8) {
@@ -116,6 +132,17 @@ fn tensors_larger_than_a_storage_binding() {
             }
         }
     }
+}
+
+#[test]
+fn tensors_larger_than_a_storage_binding() {
+    large_tensors(&wide(), |_| vec![(Memory::Shared, Fusion::Layers), (Memory::Shared, Fusion::Activation)]);
+}
+
+/// Wide layers on the portable kernels alone would take minutes on a CPU driver; theirs are above.
+#[test]
+fn winograd_writes_tensors_larger_than_a_storage_binding() {
+    large_tensors(&deep(), |family| winograd(family).iter().copied().filter(|p| p.0 == Memory::Shared).collect());
 }
 
 /// `seed` on a whole frame of 768x768, whose largest tensors are cut in three, against a tile of it that fits without a

@@ -1,6 +1,7 @@
 #version 460
 // Weights OIHW -> [out/L][in4][9][L] texels of 4 input channels, forward or transposed and flipped (input gradient).
 #extension GL_GOOGLE_include_directive : require
+#include "lib/channels.glsl"
 #include "lib/index.glsl"
 
 layout(local_size_x = 64) in;
@@ -8,8 +9,6 @@ layout(local_size_x = 64) in;
 layout(set = 0, binding = 0, r32f) readonly uniform imageBuffer weight;      // [cout][cin][3][3]
 layout(set = 0, binding = 1, std430) writeonly buffer Packed { vec4 packed_weight[]; };
 
-// A device tensor made by concatenation has two segments of channels, each padded to 4; `segment` channels of the first lie
-// in `segment_padded` places. A tensor of one segment has both 0.
 layout(push_constant) uniform Push {
     uint cin;
     uint cout;
@@ -17,17 +16,9 @@ layout(push_constant) uniform Push {
     uint in4;         // texels a pixel of the operand read
     uint count;       // texels written
     uint transposed;  // 1: the operand read has the layer's output channels
-    uint segment;     // of the layer's input
+    uint segment;     // of the layer's input, see channels.glsl
     uint segment_padded;
 };
-
-const uint NONE = 0xffffffffu;
-
-uint input_channel(uint device) {
-    if (device < segment_padded) return device < segment ? device : NONE;
-    const uint c = segment + device - segment_padded;
-    return c < cin ? c : NONE;
-}
 
 void main() {
     const uint index = flat_index();
@@ -40,7 +31,7 @@ void main() {
     for (uint j = 0; j < 4; ++j) {
         const uint in_channel = c4 * 4 + j;
         const uint o = transposed == 0 ? out_channel : in_channel;
-        const uint i = input_channel(transposed == 0 ? in_channel : out_channel);
+        const uint i = input_channel(transposed == 0 ? in_channel : out_channel, segment, segment_padded, cin);
         const uint t = transposed == 0 ? tap : 8 - tap;
         if (o < cout && i != NONE) v[j] = imageLoad(weight, int((o * cin + i) * 9 + t)).x;
     }

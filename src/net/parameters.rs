@@ -2,7 +2,7 @@
 
 use super::architecture::{Architecture, Op};
 use super::device::Channels;
-use super::kernel::{Family, conv2d};
+use super::kernel::{Family, conv2d, winograd};
 use super::weights::Weights;
 use crate::Result;
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
@@ -22,6 +22,8 @@ pub struct ConvParameters {
     pub packed: Slice,
     /// Weights as the input gradient reads them; only for training.
     pub packed_transposed: Option<Slice>,
+    /// Weights as a Winograd convolution reads them; only for inference and where it fits.
+    pub winograd: Option<Slice>,
     /// First float of the weights and of the bias in the flat buffer.
     pub at: (usize, usize),
 }
@@ -77,6 +79,11 @@ impl Parameters {
                 bias: flat.slice(bias_at as u64 * 4, padded(parameters.bias.len()) as u64 * 4),
                 packed: packed("packed weights", false)?,
                 packed_transposed: if training { Some(packed("transposed weights", true)?) } else { None },
+                winograd: if !training && winograd::fits(family, layer) {
+                    Some(gpu.buffer("transformed weights", winograd::weights_bytes(family, layer))?.all())
+                } else {
+                    None
+                },
                 at: (weight_at, bias_at),
             }));
         }
@@ -158,6 +165,9 @@ impl Parameters {
             conv2d::pack(&self.gpu, rec, self.family, conv.layer, &conv.weight, &conv.packed, false)?;
             if let Some(packed) = &conv.packed_transposed {
                 conv2d::pack(&self.gpu, rec, self.family, conv.layer, &conv.weight, packed, true)?;
+            }
+            if let Some(out) = &conv.winograd {
+                winograd::transform_weights(&self.gpu, rec, self.family, conv.layer, &conv.weight, out)?;
             }
         }
         Ok(())

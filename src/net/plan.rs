@@ -2,7 +2,7 @@
 
 use super::architecture::{Architecture, NodeId, Op};
 use super::device::{Channels, DeviceTensor, Shape};
-use super::kernel::{concat, conv2d, leaky_relu, max_pool2d, upsample2d};
+use super::kernel::{Family, concat, conv2d, leaky_relu, max_pool2d, upsample2d, winograd};
 use super::parameters::{Parameters, node_channels};
 use crate::gpu::{Gpu, Recorder};
 use crate::{Error, Result};
@@ -23,13 +23,41 @@ pub enum Fusion {
     Layers,
     /// The leaky ReLU is part of the convolution.
     Activation,
+    /// The convolutions that [`winograd::fits`] are its, and read the operands of a concatenation and what is upsampled
+    /// where they are; the others as [`Fusion::Activation`]. For families with these kernels, and for inference.
+    Winograd,
+}
+
+impl Fusion {
+    /// The fastest for inference.
+    #[must_use]
+    pub fn best(family: Family) -> Self {
+        match family {
+            Family::Portable => Self::Activation,
+            Family::Cpu { .. } => Self::Winograd,
+        }
+    }
+}
+
+/// How a node is computed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Job {
+    /// By its layer's own kernels, from its inputs.
+    Layer,
+    /// By a convolution of these values, the first upsampled or not.
+    Winograd { operands: Vec<NodeId>, upsampled: bool },
+    /// Not at all: its users read its inputs.
+    Nothing,
 }
 
 /// The tensors of one size.
 pub struct Plan {
     gpu: Gpu,
+    family: Family,
     fusion: Fusion,
-    /// One a node.
+    jobs: Vec<Job>,
+    scratch: Option<winograd::Scratch>,
+    /// One a node; what no kernel writes is a texel that nobody reads.
     pub values: Vec<DeviceTensor>,
 }
 
@@ -68,13 +96,55 @@ fn shapes(architecture: &Architecture, n: u32, h: u32, w: u32) -> Vec<Shape> {
     architecture.nodes().iter().zip(channels).map(shape).collect()
 }
 
-fn last_uses(architecture: &Architecture) -> Vec<usize> {
+/// What each node is computed by.
+fn jobs(architecture: &Architecture, family: Family, fusion: Fusion) -> Vec<Job> {
+    let nodes = architecture.nodes();
+    let channels = node_channels(architecture);
+    let mut jobs = vec![Job::Layer; nodes.len()];
+    if fusion != Fusion::Winograd {
+        return jobs;
+    }
+    for (id, node) in nodes.iter().enumerate() {
+        let Op::Conv { cout, .. } = node.op else { continue };
+        let input = node.inputs[0];
+        if !winograd::fits(family, conv2d::Layer { input: channels[input], cout: cout as u32 }) {
+            continue;
+        }
+        let mut operands = if nodes[input].op == Op::Concat { nodes[input].inputs.clone() } else { vec![input] };
+        let upsampled = nodes[operands[0]].op == Op::Upsample;
+        if upsampled {
+            operands[0] = nodes[operands[0]].inputs[0];
+        }
+        jobs[id] = Job::Winograd { operands, upsampled };
+    }
+    // From the end: what nobody reads any more is not computed.
+    for id in (0..nodes.len() - 1).rev() {
+        if matches!(nodes[id].op, Op::Concat | Op::Upsample)
+            && !reads(architecture, &jobs).iter().any(|r| r.contains(&id))
+        {
+            jobs[id] = Job::Nothing;
+        }
+    }
+    jobs
+}
+
+/// What each node's kernels read.
+fn reads(architecture: &Architecture, jobs: &[Job]) -> Vec<Vec<NodeId>> {
+    let of = |(job, node): (&Job, &super::architecture::Node)| match job {
+        Job::Layer => node.inputs.clone(),
+        Job::Winograd { operands, .. } => operands.clone(),
+        Job::Nothing => Vec::new(),
+    };
+    jobs.iter().zip(architecture.nodes()).map(of).collect()
+}
+
+fn last_uses(architecture: &Architecture, jobs: &[Job]) -> Vec<usize> {
     let count = architecture.nodes().len();
     let mut last: Vec<usize> = (0..count).collect();
     last[count - 1] = count;
-    for (id, node) in architecture.nodes().iter().enumerate() {
-        for input in &node.inputs {
-            last[*input] = last[*input].max(id);
+    for (id, reads) in reads(architecture, jobs).iter().enumerate() {
+        for read in reads {
+            last[*read] = last[*read].max(id);
         }
     }
     last
@@ -85,11 +155,15 @@ impl Plan {
     pub fn new(
         gpu: &Gpu,
         architecture: &Architecture,
+        family: Family,
         size: (u32, u32, u32),
         memory: Memory,
         fusion: Fusion,
     ) -> Result<Self> {
         let (n, h, w) = size;
+        if fusion == Fusion::Winograd && family == Family::Portable {
+            return Err(Error::input("the kernels `portable` have no Winograd convolution".to_owned()));
+        }
         let alignment = architecture.alignment() as u32;
         if n == 0 || h == 0 || w == 0 || !h.is_multiple_of(alignment) || !w.is_multiple_of(alignment) {
             return Err(Error::input(format!(
@@ -97,7 +171,21 @@ impl Plan {
                 architecture.name()
             )));
         }
-        let shapes = shapes(architecture, n, h, w);
+        let jobs = jobs(architecture, family, fusion);
+        let mut shapes = shapes(architecture, n, h, w);
+        let channels = node_channels(architecture);
+        let layer = |id: NodeId| conv2d::Layer {
+            input: channels[architecture.nodes()[id].inputs[0]],
+            cout: architecture.nodes()[id].channels as u32,
+        };
+        let fast: Vec<_> = (0..jobs.len())
+            .filter(|id| matches!(jobs[*id], Job::Winograd { .. }))
+            .map(|id| (layer(id), shapes[id]))
+            .collect();
+        let scratch = winograd::Scratch::new(gpu, family, &fast)?;
+        for (shape, _) in shapes.iter_mut().zip(&jobs).filter(|(_, job)| **job == Job::Nothing) {
+            *shape = Shape { n: 1, h: 1, w: 1, c: Channels::new(4) };
+        }
         let values = match memory {
             Memory::Kept => {
                 let tensor = |(s, node): (&Shape, &super::architecture::Node)| DeviceTensor::new(gpu, &node.name, *s);
@@ -105,13 +193,13 @@ impl Plan {
             }
             Memory::Shared => {
                 let bytes: Vec<u64> = shapes.iter().map(Shape::bytes).collect();
-                let (offsets, total) = places(&bytes, &last_uses(architecture));
+                let (offsets, total) = places(&bytes, &last_uses(architecture, &jobs));
                 let arena = gpu.buffer("activations", total)?;
                 let tensor = |(s, at): (&Shape, &u64)| DeviceTensor { shape: *s, slice: arena.slice(*at, s.bytes()) };
                 shapes.iter().zip(&offsets).map(tensor).collect()
             }
         };
-        Ok(Self { gpu: gpu.clone(), fusion, values })
+        Ok(Self { gpu: gpu.clone(), family, fusion, jobs, scratch, values })
     }
 
     /// Where the network's input goes.
@@ -127,14 +215,49 @@ impl Plan {
     }
 
     /// Records the forward pass.
+    ///
+    /// # Panics
+    /// Where the parameters are for other kernels, or, made for training, lack what [`Fusion::Winograd`] reads.
     pub fn record(&self, rec: &mut Recorder, parameters: &Parameters) -> Result<()> {
-        for id in 0..self.values.len() {
-            self.record_node(rec, parameters, id)?;
+        assert_eq!(self.family, parameters.family());
+        for (id, job) in self.jobs.iter().enumerate() {
+            match job {
+                Job::Nothing => {}
+                Job::Layer => self.record_layer(rec, parameters, id)?,
+                Job::Winograd { operands, upsampled } => {
+                    self.record_winograd(rec, parameters, id, operands, *upsampled)?;
+                }
+            }
         }
         Ok(())
     }
 
-    fn record_node(&self, rec: &mut Recorder, parameters: &Parameters, id: NodeId) -> Result<()> {
+    fn record_winograd(
+        &self,
+        rec: &mut Recorder,
+        parameters: &Parameters,
+        id: NodeId,
+        operands: &[NodeId],
+        upsampled: bool,
+    ) -> Result<()> {
+        let conv = parameters.convs[id].as_ref().expect("a convolution has parameters");
+        let Op::Conv { slope, .. } = parameters.architecture().nodes()[id].op else { unreachable!("a convolution") };
+        let operand =
+            |(i, id): (usize, &NodeId)| winograd::Operand { x: &self.values[*id], upsampled: i == 0 && upsampled };
+        let operands: Vec<_> = operands.iter().enumerate().map(operand).collect();
+        let pass = winograd::Pass {
+            layer: conv.layer,
+            operands: &operands,
+            weight: conv.winograd.as_ref().expect("parameters made for inference"),
+            bias: &conv.bias,
+            y: &self.values[id],
+            slope: slope.unwrap_or(1.0),
+        };
+        let scratch = self.scratch.as_ref().expect("made where there is such a convolution");
+        winograd::record(&self.gpu, rec, self.family, scratch, &pass)
+    }
+
+    fn record_layer(&self, rec: &mut Recorder, parameters: &Parameters, id: NodeId) -> Result<()> {
         let node = &parameters.architecture().nodes()[id];
         let y = &self.values[id];
         let x = |i: usize| &self.values[node.inputs[i]];
@@ -145,7 +268,7 @@ impl Plan {
             Op::Concat => concat::record(&self.gpu, rec, x(0), x(1), y),
             Op::Conv { slope, .. } => {
                 let conv = parameters.convs[id].as_ref().expect("a convolution has parameters");
-                let fused = if self.fusion == Fusion::Activation { slope } else { None };
+                let fused = if self.fusion == Fusion::Layers { None } else { slope };
                 let pass =
                     conv2d::Pass { x: x(0), weight: &conv.packed, bias: &conv.bias, y, slope: fused.unwrap_or(1.0) };
                 conv2d::record(&self.gpu, rec, parameters.family(), &pass)?;
@@ -166,7 +289,7 @@ mod tests {
     fn values_that_live_together_do_not_overlap() {
         let architecture = Architecture::seed();
         let bytes: Vec<u64> = shapes(&architecture, 1, 64, 96).iter().map(Shape::bytes).collect();
-        let last = last_uses(&architecture);
+        let last = last_uses(&architecture, &vec![Job::Layer; architecture.nodes().len()]);
         let (offsets, total) = places(&bytes, &last);
         for j in 0..bytes.len() {
             for i in 0..j {

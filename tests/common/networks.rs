@@ -49,6 +49,20 @@ pub fn wide() -> Architecture {
     Architecture::from_rows("wide", rows).expect("the rows fit")
 }
 
+/// A layer of 60 channels in and out at full size, for the kernels of wide layers.
+pub fn deep() -> Architecture {
+    let rows: &[Row] = &[
+        ("input", Op::Input { channels: 3 }, &[]),
+        ("enc", conv(3, 60), &["input"]),
+        ("pool", Op::MaxPool, &["enc"]),
+        ("upsample", Op::Upsample, &["pool"]),
+        ("concat", Op::Concat, &["upsample", "enc"]),
+        ("middle", conv(120, 60), &["concat"]),
+        ("out", linear(60, 3), &["middle"]),
+    ];
+    Architecture::from_rows("deep", rows).expect("the rows fit")
+}
+
 /// The goldens' weights of an architecture.
 pub fn weights(architecture: &Architecture) -> Weights {
     Weights {
@@ -68,7 +82,8 @@ pub fn forward(
     input: &Tensor<f32>,
 ) -> Tensor<f32> {
     let [n, _, h, w] = input.shape;
-    let plan = Plan::new(gpu, &weights.architecture, (n as u32, h as u32, w as u32), memory, fusion).unwrap();
+    let size = (n as u32, h as u32, w as u32);
+    let plan = Plan::new(gpu, &weights.architecture, family, size, memory, fusion).unwrap();
     let parameters = Parameters::new(gpu, family, weights, false).unwrap();
     let mut rec = gpu.recorder();
     plan.record(&mut rec, &parameters).unwrap();

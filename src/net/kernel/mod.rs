@@ -5,6 +5,7 @@ pub mod conv2d;
 pub mod leaky_relu;
 pub mod max_pool2d;
 pub mod upsample2d;
+pub mod winograd;
 
 use crate::gpu::DeviceInfo;
 

@@ -1,0 +1,60 @@
+#version 460
+// Winograd: M = U V, a matrix product for each of the 36 positions, for CPU drivers. Lanes are output channels; a subgroup
+// makes L tiles by 2 blocks of L channels. V lies across the lanes, a tile a lane, and is broadcast by constant shuffles.
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+
+layout(constant_id = 0) const uint L = 8;  // subgroup size, 8 or 16
+const uint LOCAL = 64;
+layout(local_size_x = 64) in;
+
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer v;   // [36][tile_stride][in4]
+layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer u;   // [36][blocks][in4][L]
+layout(set = 0, binding = 2, std430) writeonly buffer M { vec4 m[]; };  // [36][tile_stride / 4][blocks * L] of 4 tiles
+
+layout(push_constant) uniform Push {
+    uint in4;
+    uint upsampled4;   // texels of the first operand, where that is upsampled: winograd_input.comp
+    uint blocks;       // of L output channels
+    uint tile_blocks;  // of L tiles
+    uint tile_stride;
+};
+
+void main() {
+    const uint lane = gl_LocalInvocationID.x % L;
+    const uint index = gl_WorkGroupID.x * (LOCAL / L) + gl_LocalInvocationID.x / L;
+    const uint tile = min(index, tile_blocks - 1) * L;
+    const uint block = gl_WorkGroupID.y * 2;
+    const uint second = min(block + 1, blocks - 1);
+    const uint position = gl_WorkGroupID.z;
+    const bool vanishes = position / 6 == 2 || position % 6 == 2;
+
+    float acc[2][16];
+    [[unroll]] for (int i = 0; i < 16; ++i) acc[0][i] = acc[1][i] = 0.0;
+    const int v_at = int((position * tile_stride + tile + lane) * in4);
+    const int u_at = int((position * blocks + block) * in4 * L + lane);
+    const int u_second = int((position * blocks + second) * in4 * L + lane);
+    for (int c = vanishes ? int(upsampled4) : 0; c < int(in4); ++c) {
+        const vec4 r = imageLoad(v, v_at + c);
+        const vec4 w0 = imageLoad(u, u_at + c * int(L));
+        const vec4 w1 = imageLoad(u, u_second + c * int(L));
+        [[unroll]] for (int ci = 0; ci < 4; ++ci) {
+            [[unroll]] for (int i = 0; i < int(L); ++i) {
+                const float s = subgroupShuffle(r[ci], uint(i));
+                acc[0][i] += w0[ci] * s;
+                acc[1][i] += w1[ci] * s;
+            }
+        }
+    }
+    if (index < tile_blocks) {
+        const uint row = (position * tile_stride + tile) / 4;
+        [[unroll]] for (int b = 0; b < 2; ++b) {
+            if (block + b < blocks) {
+                [[unroll]] for (int i = 0; i < int(L); i += 4) {
+                    m[(row + i / 4) * (blocks * L) + (block + b) * L + lane] =
+                        vec4(acc[b][i], acc[b][i + 1], acc[b][i + 2], acc[b][i + 3]);
+                }
+            }
+        }
+    }
+}

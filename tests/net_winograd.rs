@@ -1,0 +1,188 @@
+//! The Winograd convolution against the convolution's reference, on the case table: operands whole, in two parts, and with
+//! the first part upsampled.
+
+mod common;
+
+use common::compare::tensors_within;
+use common::gpu;
+use limpid::gpu::{Gpu, hazard};
+use limpid::net::device::{Channels, DeviceTensor, Shape};
+use limpid::net::kernel::winograd::{self, Operand, Pass, Scratch};
+use limpid::net::kernel::{Family, conv2d::Layer};
+use limpid::net::layer::{Case, Kind, cases, concat, conv2d, upsample2d};
+use limpid::net::tensor::{Tensor, seed_of};
+
+/// Absolute values of the rows of B^T, G and A^T.
+const INPUT: [[f64; 6]; 6] = [
+    [4.0, 0.0, 5.0, 0.0, 1.0, 0.0],
+    [0.0, 4.0, 4.0, 1.0, 1.0, 0.0],
+    [0.0, 4.0, 4.0, 1.0, 1.0, 0.0],
+    [0.0, 2.0, 1.0, 2.0, 1.0, 0.0],
+    [0.0, 2.0, 1.0, 2.0, 1.0, 0.0],
+    [0.0, 4.0, 0.0, 5.0, 0.0, 1.0],
+];
+const WEIGHT: [[f64; 3]; 6] = [
+    [0.25, 0.0, 0.0],
+    [1.0 / 6.0, 1.0 / 6.0, 1.0 / 6.0],
+    [1.0 / 6.0, 1.0 / 6.0, 1.0 / 6.0],
+    [1.0 / 24.0, 1.0 / 12.0, 1.0 / 6.0],
+    [1.0 / 24.0, 1.0 / 12.0, 1.0 / 6.0],
+    [0.0, 0.0, 1.0],
+];
+const OUTPUT: [[f64; 6]; 4] = [
+    [1.0, 1.0, 1.0, 1.0, 1.0, 0.0],
+    [0.0, 1.0, 1.0, 2.0, 2.0, 0.0],
+    [0.0, 1.0, 1.0, 4.0, 4.0, 0.0],
+    [0.0, 1.0, 1.0, 8.0, 8.0, 1.0],
+];
+/// Roundings on the way of a product outside the sum over channels: 3 of each pass of the two input transforms, 3 of each of
+/// the weights', 5 of each of the output's, the bias.
+const TRANSFORM_ROUNDINGS: usize = 23;
+
+/// `rows x d x rows^T` of an `N x N` matrix.
+fn both<const N: usize, const M: usize>(rows: &[[f64; N]; M], d: [[f64; N]; N]) -> [[f64; M]; M] {
+    let mut out = [[0.0; M]; M];
+    for (i, out) in out.iter_mut().enumerate() {
+        for (j, out) in out.iter_mut().enumerate() {
+            for a in 0..N {
+                *out += rows[i][a] * (0..N).map(|b| d[a][b] * rows[j][b]).sum::<f64>();
+            }
+        }
+    }
+    out
+}
+
+/// What f32 may be off, element by element: the rounding of a sum of as many terms as there are roundings on a product's
+/// way, whose magnitude is that of the transforms and products of absolute values.
+fn bound(x: &Tensor<f64>, weight: &Tensor<f64>, bias: &[f64]) -> Tensor<f64> {
+    let [batch, cin, height, width] = x.shape;
+    let cout = weight.shape[0];
+    let mut out = Tensor::zeros([batch, cout, height, width]);
+    let weights: Vec<[[f64; 6]; 6]> = (0..cout * cin)
+        .map(|pair| {
+            both(
+                &WEIGHT,
+                std::array::from_fn(|a| std::array::from_fn(|b| weight.at(pair / cin, pair % cin, a, b).abs())),
+            )
+        })
+        .collect();
+    for n in 0..batch {
+        for (y0, x0) in (0..height).step_by(4).flat_map(|y| (0..width).step_by(4).map(move |x| (y, x))) {
+            let at = |c: usize, a: usize, b: usize| match ((y0 + a).checked_sub(1), (x0 + b).checked_sub(1)) {
+                (Some(y), Some(px)) if y < height && px < width => x.at(n, c, y, px).abs(),
+                _ => 0.0,
+            };
+            let patches: Vec<_> =
+                (0..cin).map(|c| both(&INPUT, std::array::from_fn(|a| std::array::from_fn(|b| at(c, a, b))))).collect();
+            for o in 0..cout {
+                let product =
+                    |a: usize, b: usize| (0..cin).map(|c| weights[o * cin + c][a][b] * patches[c][a][b]).sum::<f64>();
+                let tile = both(&OUTPUT, std::array::from_fn(|a| std::array::from_fn(|b| product(a, b))));
+                for y in y0..(y0 + 4).min(height) {
+                    for px in x0..(x0 + 4).min(width) {
+                        let magnitude = tile[y - y0][px - x0] + bias[o].abs();
+                        let index = out.index(n, o, y, px);
+                        out.data[index] = conv2d::rounding_bound(cin + TRANSFORM_ROUNDINGS, magnitude);
+                    }
+                }
+            }
+        }
+    }
+    out
+}
+
+fn upload(gpu: &Gpu, tensor: &Tensor<f32>, channels: Channels) -> DeviceTensor {
+    let [n, _, h, w] = tensor.shape.map(|v| v as u32);
+    let device = DeviceTensor::new(gpu, "operand", Shape { n, h, w, c: channels }).unwrap();
+    device.upload(gpu, &tensor.data).unwrap();
+    device
+}
+
+/// Convolves `parts` (the first upsampled where told) on the device and compares with the reference.
+fn check(gpu: &Gpu, family: Family, case: &Case, parts: &[Tensor<f32>], upsampled: bool) -> Result<(), String> {
+    let data = case.data();
+    let f64s = |t: &Tensor<f32>| t.to_f64();
+    let first = if upsampled { upsample2d::reference(&f64s(&parts[0])) } else { f64s(&parts[0]) };
+    let (x, input) = match parts {
+        [_] => (first, Channels::new(case.cin as u32)),
+        [a, b] => {
+            (concat::reference(&first, &f64s(b)), Channels { first: a.shape[1] as u32, second: b.shape[1] as u32 })
+        }
+        _ => unreachable!("one part or two"),
+    };
+    let (weight, bias) = (data.weight.to_f64(), data.bias.iter().map(|b| f64::from(*b)).collect::<Vec<_>>());
+    let expected = conv2d::reference(&x, &weight, &bias);
+
+    let floats = |name: &str, values: &[f32]| {
+        let buffer = gpu.buffer(name, values.len() as u64 * 4 + 256).unwrap();
+        gpu.upload(&buffer.all(), values).unwrap();
+        buffer.all()
+    };
+    let layer = Layer { input, cout: case.cout as u32 };
+    let tensors: Vec<_> = parts.iter().map(|p| upload(gpu, p, Channels::new(p.shape[1] as u32))).collect();
+    let operands: Vec<_> =
+        tensors.iter().enumerate().map(|(i, x)| Operand { x, upsampled: upsampled && i == 0 }).collect();
+    let (oihw, bias_device) = (floats("weight", &data.weight.data), floats("bias", &data.bias));
+    let transformed = gpu.buffer("transformed", winograd::weights_bytes(family, layer)).unwrap().all();
+    let [n, c, h, w] = case.output_shape().map(|v| v as u32);
+    let y = DeviceTensor::new(gpu, "y", Shape { n, h, w, c: Channels::new(c) }).unwrap();
+    gpu.upload(&y.slice, &vec![f32::NAN; y.shape.bytes() as usize / 4]).unwrap();
+    let scratch = Scratch::new(gpu, family, &[(layer, y.shape)]).unwrap().expect("one layer");
+    let pass = Pass { layer, operands: &operands, weight: &transformed, bias: &bias_device, y: &y, slope: 1.0 };
+    let mut rec = gpu.recorder();
+    winograd::transform_weights(gpu, &mut rec, family, layer, &oihw, &transformed).unwrap();
+    winograd::record(gpu, &mut rec, family, &scratch, &pass).unwrap();
+    let mut commands = rec.finish().unwrap();
+    hazard::check(commands.events()).unwrap();
+    commands.run().unwrap();
+    let actual = Tensor::new(case.output_shape(), y.download(gpu).unwrap());
+    tensors_within(&actual, &expected, &bound(&x, &weight, &bias))?;
+    // Places that only pad must be zero: the next layer reads them.
+    let texels: Vec<f32> = gpu.download(&y.slice).unwrap();
+    let places = y.shape.c.texels() as usize * 4;
+    let stray = texels.chunks(places).flat_map(|pixel| &pixel[c as usize..]).find(|v| **v != 0.0);
+    stray.map_or(Ok(()), |v| Err(format!("a padding channel holds {v}")))
+}
+
+/// The channels of a tensor from `from` to `to`.
+fn channels(t: &Tensor<f32>, from: usize, to: usize) -> Tensor<f32> {
+    let [n, _, h, w] = t.shape;
+    let data = (0..n).flat_map(|i| (from..to).flat_map(move |c| t.plane(i, c).to_vec())).collect();
+    Tensor::new([n, to - from, h, w], data)
+}
+
+#[test]
+fn winograd_kernels_equal_the_reference() {
+    let gpu = gpu();
+    let families: Vec<_> = Family::all(gpu.info()).into_iter().filter(|f| *f != Family::Portable).collect();
+    if families.is_empty() {
+        println!("NOT RUN: the device has no family with Winograd kernels");
+    }
+    let mut failures = Vec::new();
+    let mut checked = [0; 3];
+    for family in families {
+        for case in cases().iter().filter(|c| c.kind == Kind::Conv2d) {
+            let whole = case.data().inputs[0].clone();
+            let half = case.cin / 2;
+            let [n, _, h, w] = whole.shape;
+            let mut inputs = vec![(vec![whole.clone()], false)];
+            if half > 0 {
+                inputs.push((vec![channels(&whole, 0, half), channels(&whole, half, case.cin)], false));
+                if h.is_multiple_of(2) && w.is_multiple_of(2) {
+                    let low = Tensor::uniform([n, half, h / 2, w / 2], seed_of(&case.name));
+                    inputs.push((vec![low, channels(&whole, half, case.cin)], true));
+                }
+            }
+            for (parts, upsampled) in inputs {
+                checked[if upsampled { 2 } else { parts.len() - 1 }] += 1;
+                if let Err(e) = check(&gpu, family, case, &parts, upsampled) {
+                    failures.push(format!("{} in {} parts, upsampled: {upsampled}: {e}", case.name, parts.len()));
+                }
+            }
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+    if gpu.info().is_cpu {
+        assert!(checked.iter().all(|c| *c >= 3), "{checked:?} rows whole, in parts, upsampled");
+    }
+}
