@@ -46,8 +46,8 @@ push_block! {
 const POSITIONS: u64 = 36;
 /// Side of an output tile, pixels.
 const TILE: u32 = 4;
-/// Tiles that a stripe should have: transformed operands of some megabytes, which a cache holds.
-const STRIPE_TILES: u32 = 768;
+/// Tiles that a stripe should have: transformed operands of a few megabytes, which a cache holds.
+const STRIPE_TILES: u32 = 256;
 /// Invocations of a workgroup.
 const LOCAL: u32 = 64;
 
