@@ -1,5 +1,6 @@
 //! The command line: one file a command, and what they share.
 
+mod bench;
 mod compare;
 mod denoise;
 mod device;
@@ -38,6 +39,7 @@ enum Command {
     Compare(compare::Args),
     Scene(scene::Args),
     Train(Box<train::Args>),
+    Bench(bench::Args),
     Devices(devices::Args),
 }
 
@@ -49,6 +51,7 @@ pub fn run(cli: &Cli) -> Result<u8> {
         Command::Compare(args) => compare::run(args),
         Command::Scene(args) => scene::run(args),
         Command::Train(args) => train::run(args),
+        Command::Bench(args) => bench::run(args),
         Command::Devices(args) => devices::run(args),
     }
 }

@@ -119,6 +119,18 @@ impl Recorder {
         self.per_dispatch = true;
     }
 
+    /// Operations so far.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.operations.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.operations.is_empty()
+    }
+
     /// Adds a dispatch of `groups` workgroups.
     ///
     /// # Panics

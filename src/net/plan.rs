@@ -219,17 +219,32 @@ impl Plan {
     /// # Panics
     /// Where the parameters are for other kernels, or, made for training, lack what [`Fusion::Winograd`] reads.
     pub fn record(&self, rec: &mut Recorder, parameters: &Parameters) -> Result<()> {
+        (0..self.jobs.len()).try_for_each(|id| self.record_node(rec, parameters, id))
+    }
+
+    /// Records what makes one node's value, where anything does.
+    ///
+    /// # Panics
+    /// As [`Self::record`].
+    pub fn record_node(&self, rec: &mut Recorder, parameters: &Parameters, id: NodeId) -> Result<()> {
         assert_eq!(self.family, parameters.family());
-        for (id, job) in self.jobs.iter().enumerate() {
-            match job {
-                Job::Nothing => {}
-                Job::Layer => self.record_layer(rec, parameters, id)?,
-                Job::Winograd { operands, upsampled } => {
-                    self.record_winograd(rec, parameters, id, operands, *upsampled)?;
-                }
-            }
+        match &self.jobs[id] {
+            Job::Nothing => Ok(()),
+            Job::Layer => self.record_layer(rec, parameters, id),
+            Job::Winograd { operands, upsampled } => self.record_winograd(rec, parameters, id, operands, *upsampled),
         }
-        Ok(())
+    }
+
+    /// Whether a node's value is computed, or its users read its inputs instead.
+    #[must_use]
+    pub fn computes(&self, id: NodeId) -> bool {
+        self.jobs[id] != Job::Nothing
+    }
+
+    /// The nodes whose values are read to compute a node.
+    #[must_use]
+    pub fn reads(&self, architecture: &Architecture, id: NodeId) -> Vec<NodeId> {
+        reads(architecture, &self.jobs).swap_remove(id)
     }
 
     fn record_winograd(

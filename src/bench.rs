@@ -1,0 +1,239 @@
+//! Device times of the network: layer by layer, whole, and of a training step, beside what the device can do at most.
+//!
+//! Operations are those of the direct convolution, two a multiply-accumulate, whatever the kernels save of them. Bytes are
+//! what has to be moved at least: what a layer reads and writes, once.
+
+use crate::gpu::{Commands, Gpu, Recorder};
+use crate::net::architecture::{Architecture, Op};
+use crate::net::kernel::Family;
+use crate::net::parameters::Parameters;
+use crate::net::plan::{Fusion, Memory, Plan};
+use crate::net::tensor::{Tensor, seed_of};
+use crate::net::weights::Weights;
+use crate::train::adam::Adam;
+use crate::train::step::Step;
+use crate::{Result, push_block, shaders};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+push_block! {
+    /// Push constants of `peak.comp`.
+    pub struct PeakPush for shaders::peak { passes: u32, factor: f32, addend: f32 }
+}
+
+/// Device milliseconds of equal runs.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Times {
+    /// The middle one.
+    pub median: f64,
+    /// The shortest.
+    pub min: f64,
+    /// The longest.
+    pub max: f64,
+}
+
+impl Times {
+    /// Of at least one run.
+    ///
+    /// # Panics
+    /// Where there is none.
+    #[must_use]
+    pub fn of(mut ms: Vec<f64>) -> Self {
+        ms.sort_by(f64::total_cmp);
+        Self { median: ms[ms.len() / 2], min: ms[0], max: ms[ms.len() - 1] }
+    }
+}
+
+/// A part of a network, or the whole.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// Of the node, of the shader, or what the whole is.
+    pub name: String,
+    /// The kernels that ran, in order, repeats left out.
+    pub kernels: Vec<&'static str>,
+    /// Milliseconds on the device.
+    pub ms: Times,
+    /// Operations of the direct convolution; 0 where there is none.
+    pub operations: f64,
+    /// Bytes read and written at least.
+    pub bytes: f64,
+}
+
+impl Row {
+    /// Operations a second, in thousand millions, at the median.
+    #[must_use]
+    pub fn gflops(&self) -> f64 {
+        self.operations / self.ms.median * 1e-6
+    }
+}
+
+/// The first run of what was timed, with the driver's compilation, milliseconds on the host.
+pub type WarmUp = f64;
+
+/// What the device can do at most, GFLOP/s: multiplications and additions on registers.
+pub fn peak(gpu: &Gpu) -> Result<f64> {
+    const INVOCATIONS: u32 = 64 * 512;
+    const PASSES: u32 = 512;
+    let sum = gpu.buffer("sum", u64::from(INVOCATIONS) * 16)?;
+    let mut rec = gpu.recorder();
+    let kernel = gpu.kernel::<shaders::peak::Shader>(&Default::default())?;
+    let push = PeakPush { passes: PASSES, factor: 0.999, addend: 0.001 };
+    rec.dispatch(&kernel, &shaders::peak::Bind { sum: sum.all() }, &push, [INVOCATIONS / 64, 1, 1]);
+    let mut commands = rec.finish()?;
+    let (times, _) = repeat(&mut commands, 5)?;
+    Ok(f64::from(INVOCATIONS) * f64::from(PASSES) * 512.0 / times.min * 1e-6)
+}
+
+fn repeat(commands: &mut Commands, runs: u32) -> Result<(Times, WarmUp)> {
+    let warm_up = commands.run()?.wall_ms;
+    let ms = (0..runs).map(|_| Ok(commands.run()?.device_ms)).collect::<Result<_>>()?;
+    Ok((Times::of(ms), warm_up))
+}
+
+/// What the network reads: uniform in [-1, 1), (1, channels, height, width).
+fn input(architecture: &Architecture, (h, w): (u32, u32)) -> Tensor {
+    Tensor::uniform([1, architecture.input_channels(), h as usize, w as usize], seed_of("bench"))
+}
+
+/// A network on random input, at one size.
+struct Network {
+    architecture: Architecture,
+    plan: Plan,
+    parameters: Parameters,
+}
+
+impl Network {
+    fn new(gpu: &Gpu, weights: &Weights, (h, w): (u32, u32), fusion: Fusion) -> Result<Self> {
+        let (family, architecture) = (Family::choose(gpu.info()), &weights.architecture);
+        let parameters = Parameters::new(gpu, family, weights, false)?;
+        let plan = Plan::new(gpu, architecture, family, (1, h, w), Memory::Shared, fusion)?;
+        plan.input().upload(gpu, &input(architecture, (h, w)).data)?;
+        Ok(Self { architecture: architecture.clone(), plan, parameters })
+    }
+
+    /// Operations and least bytes of a node.
+    fn cost(&self, id: usize) -> (f64, f64) {
+        let node = &self.architecture.nodes()[id];
+        let shape = self.plan.values[id].shape;
+        let pixels = f64::from(shape.n) * f64::from(shape.h) * f64::from(shape.w);
+        let operations = match node.op {
+            Op::Conv { cin, cout, .. } => 18.0 * cin as f64 * cout as f64 * pixels,
+            _ => 0.0,
+        };
+        let read: u64 =
+            self.plan.reads(&self.architecture, id).iter().map(|r| self.plan.values[*r].shape.bytes()).sum();
+        let weights = node.parameters.as_ref().map_or(0, |p| p.weight.len() * 4);
+        (operations, (read + shape.bytes()) as f64 + weights as f64)
+    }
+}
+
+/// Every node that a plan computes.
+pub fn layers(gpu: &Gpu, weights: &Weights, size: (u32, u32), fusion: Fusion, runs: u32) -> Result<(Vec<Row>, WarmUp)> {
+    let architecture = &weights.architecture;
+    let network = Network::new(gpu, weights, size, fusion)?;
+    let mut rec = gpu.recorder();
+    rec.time_each();
+    let mut ends = Vec::new();
+    for id in 0..architecture.nodes().len() {
+        network.plan.record_node(&mut rec, &network.parameters, id)?;
+        ends.push(rec.len());
+    }
+    let mut commands = rec.finish()?;
+    let warm_up = commands.run()?.wall_ms;
+    let samples: Vec<_> = (0..runs).map(|_| Ok(commands.run()?.operations)).collect::<Result<_>>()?;
+    let mut rows = Vec::new();
+    let mut begin = 0;
+    for (id, end) in ends.into_iter().enumerate() {
+        let range = std::mem::replace(&mut begin, end)..end;
+        if range.is_empty() {
+            continue;
+        }
+        let mut kernels: Vec<&'static str> = Vec::new();
+        for (name, _) in &samples[0][range.clone()] {
+            if !kernels.contains(name) {
+                kernels.push(name);
+            }
+        }
+        let ms = samples.iter().map(|s| s[range.clone()].iter().map(|(_, ms)| ms).sum()).collect();
+        let (operations, bytes) = network.cost(id);
+        let name = architecture.nodes()[id].name.clone();
+        rows.push(Row { name, kernels, ms: Times::of(ms), operations, bytes });
+    }
+    Ok((rows, warm_up))
+}
+
+/// What a network read and made of it, NCHW.
+pub struct Values {
+    /// Its input.
+    pub input: Tensor,
+    /// Its output.
+    pub output: Tensor,
+}
+
+/// The whole network in one command list.
+pub fn net(gpu: &Gpu, weights: &Weights, size: (u32, u32), fusion: Fusion, runs: u32) -> Result<(Row, WarmUp, Values)> {
+    let architecture = &weights.architecture;
+    let network = Network::new(gpu, weights, size, fusion)?;
+    let mut rec = gpu.recorder();
+    network.plan.record(&mut rec, &network.parameters)?;
+    let mut commands = rec.finish()?;
+    let (ms, warm_up) = repeat(&mut commands, runs)?;
+    // The runs before may have written over the input.
+    let input = input(architecture, size);
+    network.plan.input().upload(gpu, &input.data)?;
+    commands.run()?;
+    let shape = [1, architecture.output_channels(), size.0 as usize, size.1 as usize];
+    let output = Tensor::new(shape, network.plan.output().download(gpu)?);
+    let costs = (0..architecture.nodes().len()).filter(|id| network.plan.computes(*id)).map(|id| network.cost(id));
+    let (operations, bytes) = costs.fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+    let row = Row { name: "network".to_owned(), kernels: Vec::new(), ms, operations, bytes };
+    Ok((row, warm_up, Values { input, output }))
+}
+
+/// A training step of `batch` crops: the whole, then every kernel with its share. Forward, input gradient and weight gradient
+/// count as much as each other.
+pub fn train(gpu: &Gpu, weights: &Weights, (batch, crop): (u32, u32), runs: u32) -> Result<(Vec<Row>, WarmUp)> {
+    let (family, architecture) = (Family::choose(gpu.info()), &weights.architecture);
+    let adam = Adam::default();
+    let mut step = Step::new(gpu, family, weights, (batch, crop, crop), adam)?;
+    let side = crop as usize;
+    let random =
+        |channels: usize, name: &str| Tensor::uniform([batch as usize, channels, side, side], seed_of(name)).data;
+    step.input().upload(gpu, &random(architecture.input_channels(), "input"))?;
+    step.target().upload(gpu, &random(architecture.output_channels(), "target"))?;
+    let start = std::time::Instant::now();
+    step.run(0.0)?;
+    let warm_up = start.elapsed().as_secs_f64() * 1e3;
+    let ms = (0..runs).map(|_| Ok(step.run(0.0)?.1.device_ms)).collect::<Result<_>>()?;
+    let operations = 6.0 * architecture.macs_per_pixel() * f64::from(batch) * f64::from(crop) * f64::from(crop);
+    let mut rows =
+        vec![Row { name: "training step".to_owned(), kernels: Vec::new(), ms: Times::of(ms), operations, bytes: 0.0 }];
+    rows.extend(by_kernel(gpu, |rec| step.record(rec), runs)?);
+    Ok((rows, warm_up))
+}
+
+/// What `record` adds, summed by shader, the longest first.
+fn by_kernel(gpu: &Gpu, record: impl FnOnce(&mut Recorder) -> Result<()>, runs: u32) -> Result<Vec<Row>> {
+    let mut rec = gpu.recorder();
+    rec.time_each();
+    record(&mut rec)?;
+    let mut commands = rec.finish()?;
+    commands.run()?;
+    let mut samples: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+    for run in 0..runs as usize {
+        for (name, ms) in commands.run()?.operations {
+            let all = samples.entry(name).or_insert_with(|| vec![0.0; runs as usize]);
+            all[run] += ms;
+        }
+    }
+    let row = |(name, ms): (&'static str, Vec<f64>)| Row {
+        name: name.to_owned(),
+        kernels: vec![name],
+        ms: Times::of(ms),
+        operations: 0.0,
+        bytes: 0.0,
+    };
+    let mut rows: Vec<_> = samples.into_iter().map(row).collect();
+    rows.sort_by(|a, b| b.ms.median.total_cmp(&a.ms.median));
+    Ok(rows)
+}
