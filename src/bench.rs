@@ -81,7 +81,7 @@ pub fn peak(gpu: &Gpu) -> Result<f64> {
     rec.dispatch(&kernel, &shaders::peak::Bind { sum: sum.all() }, &push, [INVOCATIONS / 64, 1, 1]);
     let mut commands = rec.finish()?;
     let (times, _) = repeat(&mut commands, 5)?;
-    Ok(f64::from(INVOCATIONS) * f64::from(PASSES) * 512.0 / times.min * 1e-6)
+    Ok(f64::from(INVOCATIONS) * f64::from(PASSES) * 384.0 / times.min * 1e-6)
 }
 
 fn repeat(commands: &mut Commands, runs: u32) -> Result<(Times, WarmUp)> {

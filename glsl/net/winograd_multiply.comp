@@ -1,10 +1,12 @@
 #version 460
 // Winograd: M = U V, a matrix product for each of the 36 positions, for CPU drivers. Lanes are output channels; a subgroup
-// makes L tiles by 2 blocks of L channels. V lies across the lanes, a tile a lane, and is broadcast by constant shuffles.
+// makes L tiles by GROUP blocks of L channels. V lies across the lanes, a tile a lane, and is broadcast by constant shuffles.
+// Texel loads cost as much as the arithmetic: the more blocks share V, the better.
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_shuffle : require
 
 layout(constant_id = 0) const uint L = 8;  // subgroup size, 8 or 16
+layout(constant_id = 1) const uint GROUP = 2;
 const uint LOCAL = 64;
 layout(local_size_x = 64) in;
 
@@ -24,31 +26,33 @@ void main() {
     const uint lane = gl_LocalInvocationID.x % L;
     const uint index = gl_WorkGroupID.x * (LOCAL / L) + gl_LocalInvocationID.x / L;
     const uint tile = min(index, tile_blocks - 1) * L;
-    const uint block = gl_WorkGroupID.y * 2;
-    const uint second = min(block + 1, blocks - 1);
+    const uint block = gl_WorkGroupID.y * GROUP;
     const uint position = gl_WorkGroupID.z;
     const bool vanishes = position / 6 == 2 || position % 6 == 2;
 
-    float acc[2][16];
-    [[unroll]] for (int i = 0; i < 16; ++i) acc[0][i] = acc[1][i] = 0.0;
+    float acc[4][16];
+    int u_at[4];
+    [[unroll]] for (int b = 0; b < int(GROUP); ++b) {
+        u_at[b] = int((position * blocks + min(block + b, blocks - 1)) * in4 * L + lane);
+        [[unroll]] for (int i = 0; i < int(L); ++i) acc[b][i] = 0.0;
+    }
     const int v_at = int((position * tile_stride + tile + lane) * in4);
-    const int u_at = int((position * blocks + block) * in4 * L + lane);
-    const int u_second = int((position * blocks + second) * in4 * L + lane);
     for (int c = vanishes ? int(upsampled4) : 0; c < int(in4); ++c) {
         const vec4 r = imageLoad(v, v_at + c);
-        const vec4 w0 = imageLoad(u, u_at + c * int(L));
-        const vec4 w1 = imageLoad(u, u_second + c * int(L));
-        [[unroll]] for (int ci = 0; ci < 4; ++ci) {
-            [[unroll]] for (int i = 0; i < int(L); ++i) {
-                const float s = subgroupShuffle(r[ci], uint(i));
-                acc[0][i] += w0[ci] * s;
-                acc[1][i] += w1[ci] * s;
+        vec4 w[4];
+        [[unroll]] for (int b = 0; b < int(GROUP); ++b) w[b] = imageLoad(u, u_at[b] + c * int(L));
+        [[unroll]] for (int i = 0; i < int(L); ++i) {
+            vec4 s;
+            [[unroll]] for (int ci = 0; ci < 4; ++ci) s[ci] = subgroupShuffle(r[ci], uint(i));
+            // Four products before the accumulator, which is rarely in a register.
+            [[unroll]] for (int b = 0; b < int(GROUP); ++b) {
+                acc[b][i] += w[b].x * s.x + w[b].y * s.y + w[b].z * s.z + w[b].w * s.w;
             }
         }
     }
     if (index < tile_blocks) {
         const uint row = (position * tile_stride + tile) / 4;
-        [[unroll]] for (int b = 0; b < 2; ++b) {
+        [[unroll]] for (int b = 0; b < int(GROUP); ++b) {
             if (block + b < blocks) {
                 [[unroll]] for (int i = 0; i < int(L); i += 4) {
                     m[(row + i / 4) * (blocks * L) + (block + b) * L + lane] =

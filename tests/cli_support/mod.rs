@@ -59,6 +59,13 @@ impl Cli {
         self.ok(&[&["render", "--validation"], args].concat())
     }
 
+    /// The JSON object that it prints.
+    #[track_caller]
+    pub fn json(&self, args: &[&str]) -> serde_json::Value {
+        let text = self.ok(args);
+        serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: {text}"))
+    }
+
     /// The report of `limpid render ARGS --json`.
     #[track_caller]
     pub fn report(&self, args: &[&str]) -> serde_json::Value {

@@ -102,6 +102,12 @@ pub fn transform_weights(
     Ok(())
 }
 
+/// Blocks of output channels that a subgroup makes: 4 where 16 lanes promise registers enough and few of the 4 are left
+/// over.
+fn group(lanes: u32, blocks: u32) -> u32 {
+    if lanes == 16 && blocks.next_multiple_of(4) - blocks <= 1 { 4 } else { 2 }
+}
+
 /// The tiles of a result, cut into stripes of whole tile rows.
 #[derive(Clone, Copy)]
 struct Stripes {
@@ -197,17 +203,16 @@ pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, scratch: &Scratch, 
     let texels: u32 = pass.operands.iter().map(|o| o.x.shape.c.texels()).sum();
     assert_eq!(texels, pass.layer.input.texels(), "the operands make up the layer's input");
     assert!(pass.operands.iter().skip(1).all(|o| !o.upsampled), "only the first operand may be upsampled");
-    let multiply = gpu.kernel_with_subgroup::<shaders::winograd_multiply::Shader>(
-        &shaders::winograd_multiply::Spec { l: lanes },
-        lanes,
-    )?;
+    let blocks = blocks(family, pass.layer);
+    let group = group(lanes, blocks);
+    let spec = shaders::winograd_multiply::Spec { l: lanes, group };
+    let multiply = gpu.kernel_with_subgroup::<shaders::winograd_multiply::Shader>(&spec, lanes)?;
     let spec = shaders::winograd_output::Spec { l: lanes, slope: pass.slope };
     let output = gpu.kernel_with_subgroup::<shaders::winograd_output::Shader>(&spec, lanes)?;
 
     let shape = &pass.y.shape;
     let stripes = Stripes::new(shape);
     let Stripes { tiles_x, tiles_y, stride, .. } = stripes;
-    let blocks = blocks(family, pass.layer);
     let [operand_bytes, product_bytes] = scratch_bytes(family, pass.layer, shape);
     let (v, m) = (scratch.operand.slice(0, operand_bytes), scratch.product.slice(0, product_bytes));
     let row_bytes = u64::from(shape.w) * u64::from(shape.c.texels()) * 16;
@@ -249,7 +254,7 @@ pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, scratch: &Scratch, 
             &multiply,
             &bind,
             &push,
-            [tile_blocks.div_ceil(LOCAL / lanes), blocks.div_ceil(2), POSITIONS as u32],
+            [tile_blocks.div_ceil(LOCAL / lanes), blocks.div_ceil(group), POSITIONS as u32],
         );
         // 16 rows of whole texels are a multiple of a slice's alignment.
         let window_row = stripes.begin(shape, begin) & !15;
