@@ -17,7 +17,7 @@ fn main() -> ExitCode {
     match run(&parsed) {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
-            complain(&format!("{error:#}"));
+            complain(&error.to_string());
             ExitCode::from(error.downcast_ref::<limpid::Error>().map_or(1, limpid::Error::exit_code))
         }
     }

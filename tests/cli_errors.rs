@@ -117,3 +117,18 @@ fn commands_that_do_not_denoise_need_no_weights() {
     cli.render(&["--size", "8x8", "-o", "a.exr"]);
     assert_eq!(cli.names(), ["a.exr", "a.png"]);
 }
+
+#[test]
+fn a_missing_file_is_named_and_its_cause_said_once() {
+    let cli = Cli::new();
+    let cases: [&[&str]; 3] = [
+        &["denoise", "none", "-o", "a.exr"],
+        &["render", "-o", "a.exr", "--denoise", "--weights", "none"],
+        &["bench", "net", "--weights", "none"],
+    ];
+    for args in cases {
+        cli.fails(args, 2, &["none: No such file or directory"]);
+        let message = cli_support::stderr(&cli.run(args));
+        assert_eq!(message.matches("No such file").count(), 1, "{message}");
+    }
+}
