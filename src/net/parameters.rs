@@ -1,6 +1,6 @@
 //! A network's parameters on the device: one flat buffer, and the packed copies that the convolutions read.
 
-use super::architecture::{Architecture, Op};
+use super::architecture::{Architecture, NodeId, Op};
 use super::device::Channels;
 use super::kernel::{Family, conv2d, winograd};
 use super::weights::Weights;
@@ -52,6 +52,13 @@ pub fn node_channels(architecture: &Architecture) -> Vec<Channels> {
     nodes.iter().map(of).collect()
 }
 
+/// The channels that the convolution of node `id` reads and writes; `channels` are [`node_channels`].
+#[must_use]
+pub fn conv_layer(architecture: &Architecture, channels: &[Channels], id: NodeId) -> conv2d::Layer {
+    let node = &architecture.nodes()[id];
+    conv2d::Layer { input: channels[node.inputs[0]], cout: node.channels as u32 }
+}
+
 impl Parameters {
     /// Uploads `weights`; `training` adds what the backward pass reads.
     pub fn new(gpu: &Gpu, family: Family, weights: &Weights, training: bool) -> Result<Self> {
@@ -62,14 +69,14 @@ impl Parameters {
         let flat = gpu.buffer("parameters", floats as u64 * 4)?;
         let mut at = 0;
         let mut convs = Vec::new();
-        for node in architecture.nodes() {
+        for (id, node) in architecture.nodes().iter().enumerate() {
             let Some(parameters) = &node.parameters else {
                 convs.push(None);
                 continue;
             };
             let (weight_at, bias_at) = (at, at + padded(parameters.weight.len()));
             at = bias_at + padded(parameters.bias.len());
-            let layer = conv2d::Layer { input: channels[node.inputs[0]], cout: node.channels as u32 };
+            let layer = conv_layer(&architecture, &channels, id);
             let packed = |name, transposed| -> Result<Slice> {
                 Ok(gpu.buffer(name, layer.packed_bytes(family, transposed))?.all())
             };

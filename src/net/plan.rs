@@ -3,7 +3,7 @@
 use super::architecture::{Architecture, NodeId, Op};
 use super::device::{Channels, DeviceTensor, Shape};
 use super::kernel::{Family, concat, conv2d, leaky_relu, max_pool2d, upsample2d, winograd};
-use super::parameters::{Parameters, node_channels};
+use super::parameters::{Parameters, conv_layer, node_channels};
 use crate::gpu::{Gpu, Recorder};
 use crate::{Error, Result};
 
@@ -105,11 +105,11 @@ fn jobs(architecture: &Architecture, family: Family, fusion: Fusion) -> Vec<Job>
         return jobs;
     }
     for (id, node) in nodes.iter().enumerate() {
-        let Op::Conv { cout, .. } = node.op else { continue };
-        let input = node.inputs[0];
-        if !winograd::fits(family, conv2d::Layer { input: channels[input], cout: cout as u32 }) {
+        let is_conv = matches!(node.op, Op::Conv { .. });
+        if !is_conv || !winograd::fits(family, conv_layer(architecture, &channels, id)) {
             continue;
         }
+        let input = node.inputs[0];
         let mut operands = if nodes[input].op == Op::Concat { nodes[input].inputs.clone() } else { vec![input] };
         let upsampled = nodes[operands[0]].op == Op::Upsample;
         if upsampled {
@@ -174,13 +174,9 @@ impl Plan {
         let jobs = jobs(architecture, family, fusion);
         let mut shapes = shapes(architecture, n, h, w);
         let channels = node_channels(architecture);
-        let layer = |id: NodeId| conv2d::Layer {
-            input: channels[architecture.nodes()[id].inputs[0]],
-            cout: architecture.nodes()[id].channels as u32,
-        };
         let fast: Vec<_> = (0..jobs.len())
             .filter(|id| matches!(jobs[*id], Job::Winograd { .. }))
-            .map(|id| (layer(id), shapes[id]))
+            .map(|id| (conv_layer(architecture, &channels, id), shapes[id]))
             .collect();
         let scratch = winograd::Scratch::new(gpu, family, &fast)?;
         for (shape, _) in shapes.iter_mut().zip(&jobs).filter(|(_, job)| **job == Job::Nothing) {

@@ -36,31 +36,26 @@ pub fn tiny() -> Architecture {
     Architecture::from_rows("tiny", rows).expect("the rows fit")
 }
 
-/// 60 channels at full size, joined to 120: at large sizes its tensors exceed a storage binding.
-pub fn wide() -> Architecture {
-    let rows: &[Row] = &[
+/// 60 channels at full size, joined to 120, then `tail`: at large sizes its tensors exceed a storage binding.
+fn joined(name: &str, tail: &[Row]) -> Architecture {
+    let head: &[Row] = &[
         ("input", Op::Input { channels: 3 }, &[]),
         ("enc", conv(3, 60), &["input"]),
         ("pool", Op::MaxPool, &["enc"]),
         ("upsample", Op::Upsample, &["pool"]),
         ("concat", Op::Concat, &["upsample", "enc"]),
-        ("out", linear(120, 3), &["concat"]),
     ];
-    Architecture::from_rows("wide", rows).expect("the rows fit")
+    Architecture::from_rows(name, &[head, tail].concat()).expect("the rows fit")
 }
 
-/// A layer of 60 channels in and out at full size, for the kernels of wide layers.
+/// The join and a last layer.
+pub fn wide() -> Architecture {
+    joined("wide", &[("out", linear(120, 3), &["concat"])])
+}
+
+/// The join, and a layer of 120 channels in and 60 out before the last one, for the kernels of wide layers.
 pub fn deep() -> Architecture {
-    let rows: &[Row] = &[
-        ("input", Op::Input { channels: 3 }, &[]),
-        ("enc", conv(3, 60), &["input"]),
-        ("pool", Op::MaxPool, &["enc"]),
-        ("upsample", Op::Upsample, &["pool"]),
-        ("concat", Op::Concat, &["upsample", "enc"]),
-        ("middle", conv(120, 60), &["concat"]),
-        ("out", linear(60, 3), &["middle"]),
-    ];
-    Architecture::from_rows("deep", rows).expect("the rows fit")
+    joined("deep", &[("middle", conv(120, 60), &["concat"]), ("out", linear(60, 3), &["middle"])])
 }
 
 /// The goldens' weights of an architecture.
