@@ -1,6 +1,6 @@
 #version 460
 // 3x3 convolution, stride 1, zero padding 1, bias and leaky ReLU (slope 1: linear), core Vulkan 1.3 only.
-// Tensors are NHWC in texels of 4 channels. An invocation makes 4 output channels of one pixel.
+// Tensors are [n][h][c4][w] in texels of 4 channels. An invocation makes 4 output channels of one pixel.
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
@@ -8,10 +8,10 @@
 layout(constant_id = 0) const float SLOPE = 1.0;
 layout(local_size_x = 64) in;
 
-layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;       // [n][h][w][cin4]
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;       // [n][h][cin4][w]
 layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer weight;  // [cout4][cin4][9][4] of 4 input channels
 layout(set = 0, binding = 2, r32f) readonly uniform imageBuffer bias;       // [cout]
-layout(set = 0, binding = 3, std430) writeonly buffer Y { vec4 y[]; };      // rows of [n][h][w][cout4], a window
+layout(set = 0, binding = 3, std430) writeonly buffer Y { vec4 y[]; };      // rows of [n][h][cout4][w], a window
 
 layout(push_constant) uniform Push {
     uint height;
@@ -25,8 +25,8 @@ layout(push_constant) uniform Push {
 void main() {
     const uint index = flat_index();
     if (index >= count) return;
-    const uint co4 = index % cout4;
-    const uint px = (index / cout4) % width;
+    const uint px = index % width;
+    const uint co4 = (index / width) % cout4;
     const uint row = row_begin + index / (cout4 * width);
     const int py = int(row % height);
     const uint image_row = row - uint(py);
@@ -38,9 +38,9 @@ void main() {
         const int sx = int(px) + t % 3 - 1;
         const int sy = py + t / 3 - 1;
         if (sx < 0 || sy < 0 || sx >= int(width) || sy >= int(height)) continue;
-        const int base = int(((image_row + uint(sy)) * width + uint(sx)) * cin4);
+        const int base = int((image_row + uint(sy)) * cin4 * width) + sx;
         for (int c = 0; c < int(cin4); ++c) {
-            const vec4 v = imageLoad(x, base + c);
+            const vec4 v = imageLoad(x, base + c * int(width));
             const int at = w_at + (c * 9 + t) * 4;
             [[unroll]] for (int j = 0; j < 4; ++j) acc[j] += dot(imageLoad(weight, at + j), v);
         }

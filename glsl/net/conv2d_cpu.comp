@@ -1,9 +1,10 @@
 #version 460
 // 3x3 convolution, stride 1, zero padding 1, bias and leaky ReLU (slope 1: linear), for CPU drivers.
-// Tensors are NHWC in texels of 4 channels. Lanes are output channels; a subgroup makes a tile of 6x4 pixels of L channels:
+// Tensors are [n][h][c4][w] in texels of 4 channels. Lanes are output channels; a subgroup makes a tile of 6x4 pixels of L channels:
 // the 8x6 patch of inputs lies across the lanes (one pixel a lane and register) and is broadcast by shuffles with constant
 // lanes. No branch around a load: llvmpipe compiles texel loads outside control flow to plain vector code.
 #extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_shuffle : require
 
 layout(constant_id = 0) const uint L = 8;             // subgroup size, 8 or 16
@@ -11,10 +12,10 @@ const uint LOCAL = 64;
 layout(constant_id = 1) const float SLOPE = 1.0;
 layout(local_size_x = 64) in;
 
-layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;       // [n][h][w][cin4]
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;       // [n][h][cin4][w]
 layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer weight;  // [cout/L][cin4][9][L] of 4 input channels
 layout(set = 0, binding = 2, r32f) readonly uniform imageBuffer bias;       // [cout]
-layout(set = 0, binding = 3, std430) writeonly buffer Y { vec4 y[]; };      // rows of [n][h][w][cout4], a window
+layout(set = 0, binding = 3, std430) writeonly buffer Y { vec4 y[]; };      // rows of [n][h][cout4][w], a window
 
 layout(push_constant) uniform Push {
     uint height;
@@ -35,7 +36,7 @@ const int PATCH = PW * (TH + 2);
 const int LOADS = PATCH / int(L);
 
 void main() {
-    const uint lane = gl_LocalInvocationID.x % L;
+    const uint lane = gl_SubgroupInvocationID;
     const uint index = gl_WorkGroupID.x * (LOCAL / L) + gl_LocalInvocationID.x / L;
     const uint tile = min(index, tile_count - 1);
     const uint co_block = gl_WorkGroupID.y;
@@ -51,7 +52,7 @@ void main() {
         const int px = x0 - 1 + p % PW;
         const int py = y0 - 1 + p / PW;
         inside[k] = px >= 0 && py >= 0 && px < int(width) && py < int(height);
-        base[k] = inside[k] ? int(((image_row + uint(py)) * width + uint(px)) * cin4) : 0;
+        base[k] = inside[k] ? int((image_row + uint(py)) * cin4 * width) + px : 0;
     }
 
     const uint co = co_block * L + lane;
@@ -63,7 +64,7 @@ void main() {
     for (int c = 0; c < int(cin4); ++c) {
         vec4 r[LOADS];
         [[unroll]] for (int k = 0; k < LOADS; ++k) {
-            r[k] = mix(vec4(0.0), imageLoad(x, base[k] + c), bvec4(inside[k]));
+            r[k] = mix(vec4(0.0), imageLoad(x, base[k] + c * int(width)), bvec4(inside[k]));
         }
         vec4 w[9];
         [[unroll]] for (int t = 0; t < 9; ++t) w[t] = imageLoad(weight, w_at + t * int(L));
@@ -93,16 +94,15 @@ void main() {
         vec4 v = vec4(0.0);
         [[unroll]] for (int p = 0; p < 4; ++p) {
             const float a = acc[i + p] > 0.0 ? acc[i + p] : acc[i + p] * SLOPE;
-            [[unroll]] for (int q = 0; q < int(L) / 4; ++q) {
-                const vec4 other = vec4(subgroupShuffle(a, uint(q * 4)), subgroupShuffle(a, uint(q * 4 + 1)),
-                    subgroupShuffle(a, uint(q * 4 + 2)), subgroupShuffle(a, uint(q * 4 + 3)));
-                v = mix(v, other, bvec4(own == uint(p) && quad == uint(q)));
+            [[unroll]] for (int j = 0; j < 4; ++j) {
+                const float other = subgroupShuffle(a, quad * 4 + j);
+                v[j] = own == uint(p) ? other : v[j];
             }
         }
         const uint px = uint(x0) + uint(i + int(own)) % uint(TW);
         const uint py = uint(y0) + uint(i + int(own)) / uint(TW);
         if (alive && px < width && py < height) {
-            y[((image_row + py - window_row) * width + px) * cout4 + co4] = v;
+            y[((image_row + py - window_row) * cout4 + co4) * width + px] = v;
         }
     }
 }

@@ -5,7 +5,7 @@
 
 layout(local_size_x = 64) in;
 
-layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer dy;                  // [rows][width][cout4]
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer dy;                  // [rows][cout4][width]
 layout(set = 0, binding = 1, std430) writeonly buffer Partial { vec4 partial_sum[]; };  // [part][cout4]
 
 layout(push_constant) uniform Push {
@@ -22,7 +22,7 @@ void main() {
     vec4 sum = vec4(0.0);
     for (uint row = index / cout4; row < rows; row += parts) {
         vec4 row_sum = vec4(0.0);
-        for (uint px = 0; px < width; ++px) row_sum += imageLoad(dy, int((row * width + px) * cout4 + c));
+        for (uint px = 0; px < width; ++px) row_sum += imageLoad(dy, int((row * cout4 + c) * width + px));
         sum += row_sum;
     }
     partial_sum[index] = sum;

@@ -5,8 +5,8 @@
 
 layout(local_size_x = 64) in;
 
-layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;    // [n][h][w][cin4]
-layout(set = 0, binding = 1, r32f) readonly uniform imageBuffer dy;      // [n][h][w][cout]
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;    // [n][h][cin4][w]
+layout(set = 0, binding = 1, r32f) readonly uniform imageBuffer dy;      // [n][h][cout/4][w] of 4 channels
 layout(set = 0, binding = 2, std430) writeonly buffer Partial { vec4 partial_sum[]; };  // [split][cout/4][cin4][9][4]
 
 layout(push_constant) uniform Push {
@@ -32,12 +32,12 @@ void main() {
     for (uint row = split; row < batch * height; row += splits) {
         const int py = int(row % height);
         for (int px = 0; px < int(width); ++px) {
-            const float d = imageLoad(dy, int((row * width + uint(px)) * cout + co)).x;
+            const float d = imageLoad(dy, int(((row * (cout / 4) + co4) * width + uint(px)) * 4 + lane)).x;
             for (int t = 0; t < 9; ++t) {
                 const int sx = px + t % 3 - 1;
                 const int sy = py + t / 3 - 1;
                 if (sx < 0 || sy < 0 || sx >= int(width) || sy >= int(height)) continue;
-                const int at = ((int(row) + t / 3 - 1) * int(width) + sx) * int(cin4) + int(c4);
+                const int at = ((int(row) + t / 3 - 1) * int(cin4) + int(c4)) * int(width) + sx;
                 acc[t] += d * imageLoad(x, at);
             }
         }

@@ -10,7 +10,7 @@ layout(constant_id = 0) const uint L = 8;     // subgroup size, 8 or 16
 const uint LOCAL = 64;
 layout(local_size_x = 64) in;
 
-layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;    // [n][h][w][cin4]
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;    // [n][h][cin4][w]
 layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer dyt;  // [n][cout][h][ceil(w/4)] of 4 pixels
 layout(set = 0, binding = 2, std430) writeonly buffer Partial { vec4 partial_sum[]; };  // [split][cout/L][cin4][9][L]
 
@@ -54,7 +54,7 @@ void main() {
         [[unroll]] for (int k = 0; k < LOADS; ++k) {
             const int px = x0 - 1 + k * int(L) + int(lane);
             inside[k] = px >= 0 && px < int(width);
-            base[k] = inside[k] ? int(((n * height) * width + uint(px)) * cin4 + c4) : 0;
+            base[k] = inside[k] ? int((n * height * cin4 + c4) * width) + px : 0;
             r[0][k] = vec4(0.0);
             r[1][k] = mix(vec4(0.0), imageLoad(x, base[k]), bvec4(inside[k]));
         }

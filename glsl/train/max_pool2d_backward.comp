@@ -5,9 +5,9 @@
 
 layout(local_size_x = 64) in;
 
-layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;     // [n][h][w][c4]
-layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer dy;    // [n][h/2][w/2][c4]
-layout(set = 0, binding = 2, std430) writeonly buffer Dx { vec4 dx[]; };  // [n][h][w][c4], a window
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;     // [n][h][c4][w]
+layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer dy;    // [n][h/2][c4][w/2]
+layout(set = 0, binding = 2, std430) writeonly buffer Dx { vec4 dx[]; };  // [n][h][c4][w], a window
 
 layout(push_constant) uniform Push {
     uint begin;  // first texel of the window
@@ -21,8 +21,8 @@ void main() {
     const uint index = flat_index();
     if (index >= count) return;
     const uint at = begin + index;
-    const uint c = at % c4;
-    const uint px = (at / c4) % width;
+    const uint px = at % width;
+    const uint c = (at / width) % c4;
     const uint row = at / (c4 * width);
     const uint py = row % height;
     const uint n = row / height;
@@ -36,7 +36,7 @@ void main() {
     vec4 best = vec4(0.0);
     uvec4 winner = uvec4(0);
     for (uint k = 0; k < 4; ++k) {
-        const vec4 v = imageLoad(x, int(((n * height + 2 * oy + k / 2) * width + 2 * ox + k % 2) * c4 + c));
+        const vec4 v = imageLoad(x, int(((n * height + 2 * oy + k / 2) * c4 + c) * width + 2 * ox + k % 2));
         for (uint j = 0; j < 4; ++j) {
             if (k == 0 || v[j] > best[j]) {
                 best[j] = v[j];
@@ -44,6 +44,6 @@ void main() {
             }
         }
     }
-    const vec4 d = imageLoad(dy, int(((n * (height / 2) + oy) * (width / 2) + ox) * c4 + c));
+    const vec4 d = imageLoad(dy, int(((n * (height / 2) + oy) * c4 + c) * (width / 2) + ox));
     dx[index] = mix(vec4(0.0), d, equal(winner, uvec4(mine)));
 }

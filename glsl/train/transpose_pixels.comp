@@ -1,11 +1,11 @@
 #version 460
-// NHWC in texels of 4 channels -> [n][c][h][ceil(w/4)] in texels of 4 pixels; pixels past the row's end are 0.
+// [n][h][c4][w] in texels of 4 channels -> [n][c][h][ceil(w/4)] in texels of 4 pixels; pixels past the row's end are 0.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
 
 layout(local_size_x = 64) in;
 
-layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;   // [n][h][w][c4]
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;   // [n][h][c4][w]
 layout(set = 0, binding = 1, std430) writeonly buffer Y { vec4 y[]; };  // [n][c4 * 4][h][w4]
 
 layout(push_constant) uniform Push {
@@ -19,15 +19,15 @@ void main() {
     const uint index = flat_index();
     if (index >= count) return;
     const uint w4 = (width + 3) / 4;
-    const uint c = index % c4;
-    const uint px4 = (index / c4) % w4;
+    const uint px4 = index % w4;
+    const uint c = (index / w4) % c4;
     const uint row = index / (c4 * w4);
     const uint n = row / height;
     const uint py = row % height;
     vec4 v[4];
     for (uint p = 0; p < 4; ++p) {
         const uint px = px4 * 4 + p;
-        v[p] = px < width ? imageLoad(x, int((row * width + px) * c4 + c)) : vec4(0.0);
+        v[p] = px < width ? imageLoad(x, int((row * c4 + c) * width + px)) : vec4(0.0);
     }
     for (uint j = 0; j < 4; ++j) {
         y[((n * c4 * 4 + c * 4 + j) * height + py) * w4 + px4] = vec4(v[0][j], v[1][j], v[2][j], v[3][j]);

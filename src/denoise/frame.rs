@@ -102,10 +102,10 @@ pub fn record_input(
 ) -> Result<()> {
     let [radiance, screen, stats] = frame;
     let kernel = gpu.kernel::<shaders::network_input::Shader>(&Default::default())?;
-    for (begin, texels) in windows(gpu.info(), u64::from(crop.width) * u64::from(crop.height) * 2) {
+    for (begin, count) in windows(gpu.info(), u64::from(crop.width) * u64::from(crop.height) * 2) {
         let push = InputPush {
-            begin: (begin / 2) as u32,
-            count: (texels / 2) as u32,
+            begin: begin as u32,
+            count: count as u32,
             width: size.0 as i32,
             height: size.1 as i32,
             crop_width: crop.width as i32,
@@ -114,14 +114,14 @@ pub fn record_input(
             y0: crop.y as i32,
             orientation: crop.orientation,
         };
-        let y = out.slice(begin * 16, texels * 16);
+        let y = out.slice(begin * 16, count * 16);
         let bind = shaders::network_input::Bind {
             radiance: radiance.clone(),
             screen: screen.clone(),
             stats: stats.clone(),
             y,
         };
-        rec.dispatch(&kernel, &bind, &push, groups(texels / 2));
+        rec.dispatch(&kernel, &bind, &push, groups(count));
     }
     Ok(())
 }

@@ -1,4 +1,6 @@
-//! Tensors on the device: NHWC in texels of 4 channels.
+//! Tensors on the device: `[n][h][c4][w]`, each row a plane of texels of 4 channels after the other.
+//!
+//! Neighbouring pixels lie side by side, as kernels read them, and a range of rows is one range of memory.
 //!
 //! A tensor made by concatenation keeps two channel segments, each padded to 4, so that joining and splitting move whole
 //! texels. Places that only pad hold zeros.
@@ -121,13 +123,14 @@ impl DeviceTensor {
 
     fn each(&self, mut f: impl FnMut(usize, usize)) {
         let s = &self.shape;
-        let (plane, pixel) = (s.h as usize * s.w as usize, s.c.texels() as usize * 4);
+        let (height, width, planes) = (s.h as usize, s.w as usize, s.c.texels() as usize);
         for n in 0..s.n as usize {
             for c in 0..s.c.count() {
                 let place = s.c.place(c) as usize;
-                let logical = (n * s.c.count() as usize + c as usize) * plane;
-                for p in 0..plane {
-                    f(logical + p, (n * plane + p) * pixel + place);
+                for y in 0..height {
+                    let logical = ((n * s.c.count() as usize + c as usize) * height + y) * width;
+                    let texel = ((n * height + y) * planes + place / 4) * width;
+                    (0..width).for_each(|x| f(logical + x, (texel + x) * 4 + place % 4));
                 }
             }
         }

@@ -56,10 +56,13 @@ pub struct Plan {
     family: Family,
     fusion: Fusion,
     jobs: Vec<Job>,
-    scratch: Option<winograd::Scratch>,
     /// One a node; what no kernel writes is a texel that nobody reads.
     pub values: Vec<DeviceTensor>,
 }
+
+/// The deepest level with Winograd convolutions. Their results depend, in their last bits, on their whole aligned tile's patch:
+/// deeper, where there is little to gain, tiles of a frame would need far more overlap.
+const WINOGRAD_LEVELS: usize = 1;
 
 /// Bytes that slices of the arena begin at.
 const ALIGNMENT: u64 = 256;
@@ -106,7 +109,8 @@ fn jobs(architecture: &Architecture, family: Family, fusion: Fusion) -> Vec<Job>
     }
     for (id, node) in nodes.iter().enumerate() {
         let is_conv = matches!(node.op, Op::Conv { .. });
-        if !is_conv || !winograd::fits(family, conv_layer(architecture, &channels, id)) {
+        let shallow = node.level <= WINOGRAD_LEVELS;
+        if !is_conv || !shallow || !winograd::fits(family, conv_layer(architecture, &channels, id)) {
             continue;
         }
         let input = node.inputs[0];
@@ -173,12 +177,6 @@ impl Plan {
         }
         let jobs = jobs(architecture, family, fusion);
         let mut shapes = shapes(architecture, n, h, w);
-        let channels = node_channels(architecture);
-        let fast: Vec<_> = (0..jobs.len())
-            .filter(|id| matches!(jobs[*id], Job::Winograd { .. }))
-            .map(|id| (conv_layer(architecture, &channels, id), shapes[id]))
-            .collect();
-        let scratch = winograd::Scratch::new(gpu, family, &fast)?;
         for (shape, _) in shapes.iter_mut().zip(&jobs).filter(|(_, job)| **job == Job::Nothing) {
             *shape = Shape { n: 1, h: 1, w: 1, c: Channels::new(4) };
         }
@@ -195,7 +193,7 @@ impl Plan {
                 shapes.iter().zip(&offsets).map(tensor).collect()
             }
         };
-        Ok(Self { gpu: gpu.clone(), family, fusion, jobs, scratch, values })
+        Ok(Self { gpu: gpu.clone(), family, fusion, jobs, values })
     }
 
     /// Where the network's input goes.
@@ -264,8 +262,7 @@ impl Plan {
             y: &self.values[id],
             slope: slope.unwrap_or(1.0),
         };
-        let scratch = self.scratch.as_ref().expect("made where there is such a convolution");
-        winograd::record(&self.gpu, rec, self.family, scratch, &pass)
+        winograd::record(&self.gpu, rec, self.family, &pass)
     }
 
     fn record_layer(&self, rec: &mut Recorder, parameters: &Parameters, id: NodeId) -> Result<()> {

@@ -6,6 +6,7 @@ pub mod goldens;
 pub mod networks;
 
 use limpid::gpu::{DeviceOptions, Gpu};
+use limpid::net::device::DeviceTensor;
 use std::sync::OnceLock;
 
 /// The device of a test: opened once a process, under the validation layer. Dropping it fails the test where the test
@@ -31,4 +32,14 @@ impl Drop for TestGpu {
         let messages = self.0.drain_validation();
         assert!(messages.is_empty() || std::thread::panicking(), "validation: {messages:#?}");
     }
+}
+
+/// Places that only pad must be zero: the next layer reads them.
+pub fn padding_is_zero(gpu: &Gpu, tensor: &DeviceTensor) -> Result<(), String> {
+    let (c, width) = (tensor.shape.c, tensor.shape.w as usize);
+    let used: Vec<u32> = (0..c.count()).map(|i| c.place(i)).collect();
+    let floats: Vec<f32> = gpu.download(&tensor.slice).unwrap();
+    let place = |i: usize| (i / 4 / width) as u32 % c.texels() * 4 + i as u32 % 4;
+    let stray = (0..floats.len()).find(|i| floats[*i] != 0.0 && !used.contains(&place(*i)));
+    stray.map_or(Ok(()), |i| Err(format!("padding channel {} holds {}", place(i), floats[i])))
 }

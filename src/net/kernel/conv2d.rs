@@ -118,7 +118,7 @@ pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, pass: &Pass<'_>) ->
 
 /// Splits `units` (each of `rows(unit) = [first, end)` rows of the result) into runs whose rows fit a storage binding, and
 /// gives for each run its units, the first row of its window and the window.
-fn row_windows(
+pub(super) fn row_windows(
     gpu: &Gpu,
     y: &DeviceTensor,
     units: u32,

@@ -19,7 +19,7 @@ push_block! {
 }
 push_block! {
     /// Push constants of `concat_backward.comp`.
-    pub struct ConcatPush for shaders::concat_backward { begin: u32, count: u32, total4: u32, first4: u32, part4: u32 }
+    pub struct ConcatPush for shaders::concat_backward { begin: u32, count: u32, total4: u32, first4: u32, part4: u32, width: u32 }
 }
 push_block! {
     /// Push constants of `add.comp`.
@@ -84,7 +84,7 @@ pub fn concat(gpu: &Gpu, rec: &mut Recorder, dy: &DeviceTensor, dx: &DeviceTenso
     let first4 = if second { total4 - part4 } else { 0 };
     each_window(gpu, dx, |begin, count, dx| {
         let bind = shaders::concat_backward::Bind { dy: dy.slice.clone(), dx };
-        let push = ConcatPush { begin, count, total4, first4, part4 };
+        let push = ConcatPush { begin, count, total4, first4, part4, width: dy.shape.w };
         rec.dispatch(&kernel, &bind, &push, groups(u64::from(count)));
     });
     Ok(())
