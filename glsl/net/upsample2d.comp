@@ -1,5 +1,5 @@
 #version 460
-// Nearest-neighbour upsampling by 2. NHWC in texels of 4 channels.
+// Nearest-neighbour upsampling by 2, in texels of 4 channels.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
 

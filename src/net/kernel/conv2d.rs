@@ -1,4 +1,4 @@
-//! 3x3 convolution: `conv2d.comp`, `conv2d_cpu.comp`, and the packing of its weights, `pack_weights.comp`.
+//! 3x3 convolution: `conv2d.comp`, `conv2d_cpu.comp`, `conv2d_narrow.comp`, and the packing of its weights, `pack_weights.comp`.
 
 use super::Family;
 use crate::Result;
@@ -23,6 +23,14 @@ push_block! {
 }
 
 push_block! {
+    /// Push constants of `conv2d_narrow.comp`.
+    pub struct NarrowPush for shaders::conv2d_narrow {
+        height: i32, width: i32, cin4: i32, tiles_x: u32, tiles_y: u32, tile_row_begin: u32, tile_count: u32,
+        window_row: u32,
+    }
+}
+
+push_block! {
     /// Push constants of `pack_weights.comp`.
     pub struct PackPush for shaders::pack_weights {
         cin: u32, cout: u32, lanes: u32, in4: u32, count: u32, transposed: u32, segment: u32, segment_padded: u32,
@@ -31,6 +39,8 @@ push_block! {
 
 /// Tile of `conv2d_cpu.comp`, pixels.
 const TILE: (u32, u32) = (6, 4);
+/// Side of a tile of `conv2d_narrow.comp`, pixels.
+const NARROW_TILE: u32 = 4;
 /// Invocations of a workgroup of `conv2d_cpu.comp`.
 const LOCAL: u32 = 64;
 
@@ -112,13 +122,14 @@ pub struct Pass<'a> {
 pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, pass: &Pass<'_>) -> Result<()> {
     match family {
         Family::Portable => record_portable(gpu, rec, pass),
+        Family::Cpu { lanes } if pass.y.shape.c.texels() == 1 => record_narrow(gpu, rec, lanes, pass),
         Family::Cpu { lanes } => record_cpu(gpu, rec, lanes, pass),
     }
 }
 
 /// Splits `units` (each of `rows(unit) = [first, end)` rows of the result) into runs whose rows fit a storage binding, and
 /// gives for each run its units, the first row of its window and the window.
-pub(super) fn row_windows(
+fn row_windows(
     gpu: &Gpu,
     y: &DeviceTensor,
     units: u32,
@@ -142,6 +153,16 @@ pub(super) fn row_windows(
         begin = end;
     }
     out
+}
+
+/// [`row_windows`] of rows of tiles of `tile_height` pixels, over all images.
+pub(super) fn tile_windows(gpu: &Gpu, y: &DeviceTensor, tile_height: u32) -> Vec<(u32, u32, u32, Slice)> {
+    let (n, h) = (y.shape.n, y.shape.h);
+    let tiles_y = h.div_ceil(tile_height);
+    row_windows(gpu, y, n * tiles_y, |tile_row| {
+        let (image, y0) = (tile_row / tiles_y, tile_row % tiles_y * tile_height);
+        (image * h + y0, image * h + (y0 + tile_height).min(h))
+    })
 }
 
 fn record_portable(gpu: &Gpu, rec: &mut Recorder, pass: &Pass<'_>) -> Result<()> {
@@ -176,11 +197,7 @@ fn record_cpu(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Res
     let shape = pass.y.shape;
     let cout4 = shape.c.texels();
     let (tiles_x, tiles_y) = (shape.w.div_ceil(TILE.0), shape.h.div_ceil(TILE.1));
-    let rows = |unit: u32| {
-        let (n, y0) = (unit / tiles_y, unit % tiles_y * TILE.1);
-        (n * shape.h + y0, n * shape.h + (y0 + TILE.1).min(shape.h))
-    };
-    for (begin, end, window_row, y) in row_windows(gpu, pass.y, shape.n * tiles_y, rows) {
+    for (begin, end, window_row, y) in tile_windows(gpu, pass.y, TILE.1) {
         let tile_count = (end - begin) * tiles_x;
         let push = CpuPush {
             height: shape.h,
@@ -200,6 +217,34 @@ fn record_cpu(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Res
             y,
         };
         rec.dispatch(&kernel, &bind, &push, [tile_count.div_ceil(LOCAL / lanes), (cout4 * 4).div_ceil(lanes), 1]);
+    }
+    Ok(())
+}
+
+fn record_narrow(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Result<()> {
+    let shape = pass.y.shape;
+    let spec = shaders::conv2d_narrow::Spec { l: lanes, cout: shape.c.count(), slope: pass.slope };
+    let kernel = gpu.kernel_with_subgroup::<shaders::conv2d_narrow::Shader>(&spec, lanes)?;
+    let (tiles_x, tiles_y) = (shape.w.div_ceil(NARROW_TILE), shape.h.div_ceil(NARROW_TILE));
+    for (begin, end, window_row, y) in tile_windows(gpu, pass.y, NARROW_TILE) {
+        let tile_count = (end - begin) * tiles_x;
+        let push = NarrowPush {
+            height: shape.h as i32,
+            width: shape.w as i32,
+            cin4: pass.x.shape.c.texels() as i32,
+            tiles_x,
+            tiles_y,
+            tile_row_begin: begin,
+            tile_count,
+            window_row,
+        };
+        let bind = shaders::conv2d_narrow::Bind {
+            x: pass.x.slice.clone(),
+            weight: pass.weight.clone(),
+            bias: pass.bias.clone(),
+            y,
+        };
+        rec.dispatch(&kernel, &bind, &push, [tile_count.div_ceil(LOCAL), 1, 1]);
     }
     Ok(())
 }

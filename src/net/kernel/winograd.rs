@@ -7,7 +7,7 @@
 //! The operand may come in two parts, as a concatenation has them, the first one upsampled: neither the concatenation nor
 //! the upsampling is written to memory, and 11 of the 36 products vanish for what is upsampled.
 
-use super::{Family, conv2d::Layer, conv2d::row_windows};
+use super::{Family, conv2d::Layer, conv2d::tile_windows};
 use crate::gpu::{Gpu, Recorder, Slice};
 use crate::net::device::{DeviceTensor, groups};
 use crate::{Result, push_block, shaders};
@@ -36,7 +36,7 @@ const LOCAL: u32 = 64;
 
 /// Channels in times channels out must be at least this much times their sum: the products save as the one, the transforms
 /// cost as the other. Measured on llvmpipe at 768x768: 32 to 32 channels lose a third, 57 to 57 gain nothing, 64 to 128 gain half.
-const WORTH: u32 = 23;
+const WORTH: u32 = 12;
 
 /// Whether a convolution runs by Winograd: on CPU drivers where it is faster.
 #[must_use]
@@ -136,11 +136,7 @@ pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, pass: &Pass<'_>) ->
     let kernel = gpu.kernel_with_subgroup::<shaders::winograd::Shader>(&spec, lanes)?;
     let shape = pass.y.shape;
     let (tiles_x, tiles_y) = (shape.w.div_ceil(TILE), shape.h.div_ceil(TILE));
-    let rows = |tile_row: u32| {
-        let (n, y0) = (tile_row / tiles_y, tile_row % tiles_y * TILE);
-        (n * shape.h + y0, n * shape.h + (y0 + TILE).min(shape.h))
-    };
-    for (begin, end, window_row, y) in row_windows(gpu, pass.y, shape.n * tiles_y, rows) {
+    for (begin, end, window_row, y) in tile_windows(gpu, pass.y, TILE) {
         let tile_count = (end - begin) * tiles_x;
         let push = WinogradPush {
             height: shape.h as i32,
