@@ -1,5 +1,6 @@
 #version 460
 // Exposure and depth of a frame, bin by bin of 16x16 pixels: log2 of the mean luminance, whether it counts, largest depth.
+// The frame may come in strips of whole rows of bins.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
 
@@ -12,6 +13,7 @@ layout(set = 0, binding = 2, std430) writeonly buffer Bins { vec4 bins[]; };
 layout(push_constant) uniform Push {
     uint width;
     uint height;
+    uint first;  // bin
 };
 
 void main() {
@@ -36,5 +38,5 @@ void main() {
         if (d > depth && d < 1e30) depth = d;
     }
     const float mean = sum / count;
-    bins[index] = mean > 1e-8 ? vec4(log2(mean), 1.0, depth, 0.0) : vec4(0.0, 0.0, depth, 0.0);
+    bins[first + index] = mean > 1e-8 ? vec4(log2(mean), 1.0, depth, 0.0) : vec4(0.0, 0.0, depth, 0.0);
 }

@@ -1,13 +1,14 @@
 //! A frame as the network's input: exposure and depth scale, crops, and which weights expect what.
 
-use crate::gpu::{Buffer, Gpu, Recorder, Slice};
+use crate::gpu::{Buffer, Footprint, Gpu, Recorder, Slice};
 use crate::net::device::{groups, windows};
 use crate::net::weights::Weights;
 use crate::{Error, Result, push_block, shaders};
+use std::ops::Range;
 
 push_block! {
     /// Push constants of `frame_bins.comp`.
-    pub struct BinsPush for shaders::frame_bins { width: u32, height: u32 }
+    pub struct BinsPush for shaders::frame_bins { width: u32, height: u32, first: u32 }
 }
 push_block! {
     /// Push constants of `frame_join.comp`.
@@ -19,6 +20,9 @@ push_block! {
         begin: u32, count: u32, width: i32, height: i32, crop_width: i32, crop_height: i32, x0: i32, y0: i32, orientation: u32,
     }
 }
+
+/// Side of the bins that a frame's exposure is made of, pixels.
+pub const BIN: u32 = 16;
 
 /// Metadata key and value of the inputs that `network_input.comp` makes.
 pub const INPUTS: (&str, &str) = ("inputs", "radiance,normal_screen.xy,depth");
@@ -44,21 +48,52 @@ pub struct FrameStats {
 }
 
 impl FrameStats {
+    /// Bytes of the buffers for frames of `width` x `height` pixels.
+    fn sizes(width: u32, height: u32) -> [u64; 2] {
+        let count = u64::from(width.div_ceil(BIN)) * u64::from(height.div_ceil(BIN));
+        [count * 16, count.div_ceil(256) * 16]
+    }
+
+    /// The memory that [`Self::new`] will take.
+    #[must_use]
+    pub fn footprint(width: u32, height: u32) -> Footprint {
+        Self::sizes(width, height).map(Footprint::buffer).into_iter().sum()
+    }
+
     /// Buffers for frames of `width` x `height` pixels.
     pub fn new(gpu: &Gpu, width: u32, height: u32) -> Result<Self> {
-        let count = u64::from(width.div_ceil(16)) * u64::from(height.div_ceil(16));
-        let bins = [gpu.buffer("bins", count * 16)?, gpu.buffer("joined bins", count.div_ceil(256) * 16)?];
+        let [bins, joined] = Self::sizes(width, height);
+        let bins = [gpu.buffer("bins", bins)?, gpu.buffer("joined bins", joined)?];
         Ok(Self { gpu: gpu.clone(), size: (width, height), bins })
     }
 
     /// Records (exposure, 1 / depth, 0, 0) of a frame into `out`, 16 bytes.
     pub fn record(&self, rec: &mut Recorder, radiance: &Slice, screen: &Slice, out: &Slice) -> Result<()> {
+        self.record_strip(rec, radiance, screen, 0..self.size.1)?;
+        self.record_join(rec, out)
+    }
+
+    /// Records the part that `rows` have in it, of which `radiance` and `screen` hold all pixels; for [`Self::record_join`],
+    /// once all rows are in. How a frame is cut changes no bit.
+    ///
+    /// # Panics
+    /// Where rows begin at no multiple of [`BIN`], or end at none before the frame does.
+    pub fn record_strip(&self, rec: &mut Recorder, radiance: &Slice, screen: &Slice, rows: Range<u32>) -> Result<()> {
         let (width, height) = self.size;
-        let mut count = width.div_ceil(16) * height.div_ceil(16);
+        assert!(rows.start.is_multiple_of(BIN) && (rows.end.is_multiple_of(BIN) || rows.end == height), "{rows:?}");
+        let push = BinsPush { width, height: rows.end - rows.start, first: rows.start / BIN * width.div_ceil(BIN) };
         let kernel = self.gpu.kernel::<shaders::frame_bins::Shader>(&Default::default())?;
-        let bins = self.bins[0].slice(0, u64::from(count) * 16);
-        let bind = shaders::frame_bins::Bind { radiance: radiance.clone(), screen: screen.clone(), bins };
-        rec.dispatch(&kernel, &bind, &BinsPush { width, height }, groups(u64::from(count)));
+        let bind =
+            shaders::frame_bins::Bind { radiance: radiance.clone(), screen: screen.clone(), bins: self.bins[0].all() };
+        let count = u64::from(width.div_ceil(BIN)) * u64::from(push.height.div_ceil(BIN));
+        rec.dispatch(&kernel, &bind, &push, groups(count));
+        Ok(())
+    }
+
+    /// Records (exposure, 1 / depth, 0, 0) into `out`, 16 bytes.
+    pub fn record_join(&self, rec: &mut Recorder, out: &Slice) -> Result<()> {
+        let (width, height) = self.size;
+        let mut count = width.div_ceil(BIN) * height.div_ceil(BIN);
         let kernel = self.gpu.kernel::<shaders::frame_join::Shader>(&Default::default())?;
         let mut from = 0;
         loop {

@@ -270,17 +270,24 @@ impl Architecture {
         fields[fields.len() - 1]
     }
 
-    /// How many pixels a tile needs beyond each side of its core, for its core to have the bits of the whole frame.
+    /// How many pixels a tile needs beyond each side of its core, for its core to have the values of the whole frame.
     ///
     /// Cores and tiles begin and end on the grid of [`alignment`](Self::alignment); then this is exact: at every node the
     /// region that the core depends on lies within the tile.
     pub fn tile_overlap(&self) -> usize {
-        // How far the core depends on elements below its first one, at each node in that node's elements.
+        self.tile_overlap_in_blocks(|_| 1)
+    }
+
+    /// The same where a convolution's results are computed in blocks of `block(id)` x `block(id)`, so that the rounding of
+    /// each depends on all that its block reads. Cores and tiles begin on the grid of [`tile_step`](Self::tile_step).
+    pub fn tile_overlap_in_blocks(&self, block: impl Fn(NodeId) -> usize) -> usize {
+        // How far the core depends on elements below its first one, at each node in that node's elements. What it depends on
+        // beyond its last one is as far: both ends lie on the grid.
         let mut reach = vec![0usize; self.nodes.len()];
         for (id, node) in self.nodes.iter().enumerate().rev() {
             for &input in &node.inputs {
                 let needed = match node.op {
-                    Op::Conv { .. } => reach[id] + 1,
+                    Op::Conv { .. } => reach[id].next_multiple_of(block(id)) + 1,
                     Op::MaxPool => 2 * reach[id],
                     Op::Upsample => reach[id].div_ceil(2),
                     Op::Input { .. } | Op::Concat => reach[id],
@@ -289,7 +296,14 @@ impl Architecture {
             }
         }
         let pixels = self.nodes.iter().zip(&reach).map(|(node, reach)| reach << node.level);
-        self.padded(pixels.max().unwrap_or(0))
+        pixels.max().unwrap_or(0).next_multiple_of(self.tile_step(block))
+    }
+
+    /// The grid, in pixels, on which tiles begin: of the alignment and of all blocks.
+    pub fn tile_step(&self, block: impl Fn(NodeId) -> usize) -> usize {
+        // Powers of two: the largest is a multiple of all.
+        let blocks = self.nodes.iter().enumerate().map(|(id, node)| block(id).next_power_of_two() << node.level);
+        blocks.max().unwrap_or(1).max(self.alignment())
     }
 }
 

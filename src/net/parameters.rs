@@ -5,7 +5,7 @@ use super::device::Channels;
 use super::kernel::{Family, conv2d, winograd};
 use super::weights::Weights;
 use crate::Result;
-use crate::gpu::{Buffer, Gpu, Recorder, Slice};
+use crate::gpu::{Buffer, Footprint, Gpu, Recorder, Slice};
 
 /// Each tensor begins at a multiple of this many floats and is padded to it with zeros.
 const ALIGNMENT: usize = 64;
@@ -59,14 +59,38 @@ pub fn conv_layer(architecture: &Architecture, channels: &[Channels], id: NodeId
     conv2d::Layer { input: channels[node.inputs[0]], cout: node.channels as u32 }
 }
 
+fn padded(count: usize) -> usize {
+    count.next_multiple_of(ALIGNMENT)
+}
+
+fn flat_bytes(architecture: &Architecture) -> u64 {
+    architecture.tensors().iter().map(|t| padded(t.range.len()) as u64 * 4).sum()
+}
+
+/// Bytes of a convolution's weights as a Winograd convolution reads them; none where no plan reads them.
+fn winograd_bytes(family: Family, layer: conv2d::Layer, training: bool) -> Option<u64> {
+    (!training && winograd::fits(family, layer)).then(|| winograd::weights_bytes(family, layer))
+}
+
 impl Parameters {
+    /// The memory that [`Self::new`] will take for inference.
+    #[must_use]
+    pub fn footprint(architecture: &Architecture, family: Family) -> Footprint {
+        let channels = node_channels(architecture);
+        let convs = (0..channels.len()).filter(|id| architecture.nodes()[*id].parameters.is_some());
+        let packed = convs.flat_map(|id| {
+            let layer = conv_layer(architecture, &channels, id);
+            [Some(layer.packed_bytes(family, false)), winograd_bytes(family, layer, false)]
+        });
+        let flat = std::iter::once(flat_bytes(architecture));
+        flat.chain(packed.flatten()).map(Footprint::buffer).sum()
+    }
+
     /// Uploads `weights`; `training` adds what the backward pass reads.
     pub fn new(gpu: &Gpu, family: Family, weights: &Weights, training: bool) -> Result<Self> {
         let architecture = weights.architecture.clone();
         let channels = node_channels(&architecture);
-        let padded = |count: usize| count.next_multiple_of(ALIGNMENT);
-        let floats: usize = architecture.tensors().iter().map(|t| padded(t.range.len())).sum();
-        let flat = gpu.buffer("parameters", floats as u64 * 4)?;
+        let flat = gpu.buffer("parameters", flat_bytes(&architecture))?;
         let mut at = 0;
         let mut convs = Vec::new();
         for (id, node) in architecture.nodes().iter().enumerate() {
@@ -86,11 +110,9 @@ impl Parameters {
                 bias: flat.slice(bias_at as u64 * 4, padded(parameters.bias.len()) as u64 * 4),
                 packed: packed("packed weights", false)?,
                 packed_transposed: if training { Some(packed("transposed weights", true)?) } else { None },
-                winograd: if !training && winograd::fits(family, layer) {
-                    Some(gpu.buffer("transformed weights", winograd::weights_bytes(family, layer))?.all())
-                } else {
-                    None
-                },
+                winograd: winograd_bytes(family, layer, training)
+                    .map(|bytes| Ok(gpu.buffer("transformed weights", bytes)?.all()))
+                    .transpose()?,
                 at: (weight_at, bias_at),
             }));
         }

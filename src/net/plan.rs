@@ -4,7 +4,7 @@ use super::architecture::{Architecture, NodeId, Op};
 use super::device::{Channels, DeviceTensor, Shape};
 use super::kernel::{Family, concat, conv2d, leaky_relu, max_pool2d, upsample2d, winograd};
 use super::parameters::{Parameters, conv_layer, node_channels};
-use crate::gpu::{Gpu, Recorder};
+use crate::gpu::{Footprint, Gpu, Recorder};
 use crate::{Error, Result};
 
 /// How the tensors of a plan share memory.
@@ -61,6 +61,9 @@ pub struct Plan {
     pub values: Vec<DeviceTensor>,
 }
 
+/// Winograd convolutions run at full and at half resolution: deeper down their blocks would not lie on the grid of tiles.
+const MAX_WINOGRAD_LEVEL: usize = 1;
+
 /// Bytes that slices of the arena begin at.
 const ALIGNMENT: u64 = 256;
 
@@ -106,7 +109,10 @@ fn jobs(architecture: &Architecture, family: Family, fusion: Fusion) -> Vec<Job>
     }
     for (id, node) in nodes.iter().enumerate() {
         let is_conv = matches!(node.op, Op::Conv { .. });
-        if !is_conv || !winograd::fits(family, conv_layer(architecture, &channels, id)) {
+        if !is_conv
+            || node.level > MAX_WINOGRAD_LEVEL
+            || !winograd::fits(family, conv_layer(architecture, &channels, id))
+        {
             continue;
         }
         let input = node.inputs[0];
@@ -150,7 +156,75 @@ fn last_uses(architecture: &Architecture, jobs: &[Job]) -> Vec<usize> {
     last
 }
 
+/// Side of the blocks of results that a node computes at once.
+fn block(job: &Job) -> usize {
+    if matches!(job, Job::Winograd { .. }) { winograd::TILE as usize } else { 1 }
+}
+
+/// How a plan may be cut into tiles whose cores have the bits of the whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TileRules {
+    /// Frames are padded to a multiple of this.
+    pub alignment: u32,
+    /// Tiles and cores begin at multiples of this, itself a multiple of the alignment.
+    pub step: u32,
+    /// Pixels that a tile needs beyond each side of its core, where the frame does not end before; a multiple of `step`.
+    pub overlap: u32,
+}
+
+impl TileRules {
+    /// Of a plan of these kernels.
+    #[must_use]
+    pub fn new(architecture: &Architecture, family: Family, fusion: Fusion) -> Self {
+        let jobs = jobs(architecture, family, fusion);
+        Self {
+            alignment: architecture.alignment() as u32,
+            step: architecture.tile_step(|id| block(&jobs[id])) as u32,
+            overlap: architecture.tile_overlap_in_blocks(|id| block(&jobs[id])) as u32,
+        }
+    }
+}
+
+/// What a plan computes and holds, known before anything is allocated.
+struct Layout {
+    jobs: Vec<Job>,
+    shapes: Vec<Shape>,
+    /// The convolutions that use the scratch buffers.
+    fast: Vec<(super::kernel::conv2d::Layer, Shape)>,
+}
+
+impl Layout {
+    fn new(architecture: &Architecture, family: Family, (n, h, w): (u32, u32, u32), fusion: Fusion) -> Self {
+        let jobs = jobs(architecture, family, fusion);
+        let mut shapes = shapes(architecture, n, h, w);
+        let channels = node_channels(architecture);
+        let fast: Vec<_> = (0..jobs.len())
+            .filter(|id| matches!(jobs[*id], Job::Winograd { .. }))
+            .map(|id| (conv_layer(architecture, &channels, id), shapes[id]))
+            .collect();
+        for (shape, _) in shapes.iter_mut().zip(&jobs).filter(|(_, job)| **job == Job::Nothing) {
+            *shape = Shape { n: 1, h: 1, w: 1, c: Channels::new(4) };
+        }
+        Self { jobs, shapes, fast }
+    }
+
+    /// The places of the values in memory that they share, and its size.
+    fn arena(&self, architecture: &Architecture) -> (Vec<u64>, u64) {
+        let bytes: Vec<u64> = self.shapes.iter().map(Shape::bytes).collect();
+        places(&bytes, &last_uses(architecture, &self.jobs))
+    }
+}
+
 impl Plan {
+    /// The memory that [`Self::new`] will take with [`Memory::Shared`]; `size` as there.
+    #[must_use]
+    pub fn footprint(architecture: &Architecture, family: Family, size: (u32, u32, u32), fusion: Fusion) -> Footprint {
+        let layout = Layout::new(architecture, family, size, fusion);
+        let largest = layout.shapes.iter().map(Shape::bytes).max().unwrap_or(0);
+        let arena = Footprint::arena(layout.arena(architecture).1, largest);
+        [arena, winograd::Scratch::footprint(family, &layout.fast)].into_iter().sum()
+    }
+
     /// Tensors for `n` images of `h` x `w` pixels.
     pub fn new(
         gpu: &Gpu,
@@ -171,31 +245,21 @@ impl Plan {
                 architecture.name()
             )));
         }
-        let jobs = jobs(architecture, family, fusion);
-        let mut shapes = shapes(architecture, n, h, w);
-        let channels = node_channels(architecture);
-        let fast: Vec<_> = (0..jobs.len())
-            .filter(|id| matches!(jobs[*id], Job::Winograd { .. }))
-            .map(|id| (conv_layer(architecture, &channels, id), shapes[id]))
-            .collect();
-        let scratch = winograd::Scratch::new(gpu, family, &fast)?;
-        for (shape, _) in shapes.iter_mut().zip(&jobs).filter(|(_, job)| **job == Job::Nothing) {
-            *shape = Shape { n: 1, h: 1, w: 1, c: Channels::new(4) };
-        }
+        let layout = Layout::new(architecture, family, size, fusion);
+        let scratch = winograd::Scratch::new(gpu, family, &layout.fast)?;
         let values = match memory {
             Memory::Kept => {
                 let tensor = |(s, node): (&Shape, &super::architecture::Node)| DeviceTensor::new(gpu, &node.name, *s);
-                shapes.iter().zip(architecture.nodes()).map(tensor).collect::<Result<Vec<_>>>()?
+                layout.shapes.iter().zip(architecture.nodes()).map(tensor).collect::<Result<Vec<_>>>()?
             }
             Memory::Shared => {
-                let bytes: Vec<u64> = shapes.iter().map(Shape::bytes).collect();
-                let (offsets, total) = places(&bytes, &last_uses(architecture, &jobs));
+                let (offsets, total) = layout.arena(architecture);
                 let arena = gpu.buffer("activations", total)?;
                 let tensor = |(s, at): (&Shape, &u64)| DeviceTensor { shape: *s, slice: arena.slice(*at, s.bytes()) };
-                shapes.iter().zip(&offsets).map(tensor).collect()
+                layout.shapes.iter().zip(&offsets).map(tensor).collect()
             }
         };
-        Ok(Self { gpu: gpu.clone(), family, fusion, jobs, scratch, values })
+        Ok(Self { gpu: gpu.clone(), family, fusion, jobs: layout.jobs, scratch, values })
     }
 
     /// Where the network's input goes.

@@ -8,7 +8,7 @@
 //! the upsampling is written to memory, and 11 of the 36 products vanish for what is upsampled.
 
 use super::{Family, conv2d::Layer};
-use crate::gpu::{Buffer, Gpu, Recorder, Slice};
+use crate::gpu::{Buffer, Footprint, Gpu, Recorder, Slice};
 use crate::net::device::{DeviceTensor, Shape, groups};
 use crate::{Result, push_block, shaders};
 
@@ -45,7 +45,7 @@ push_block! {
 /// Products of one output tile of a channel pair: 6x6.
 const POSITIONS: u64 = 36;
 /// Side of an output tile, pixels.
-const TILE: u32 = 4;
+pub const TILE: u32 = 4;
 /// Tiles that a stripe should have: transformed operands of a few megabytes, which a cache holds.
 const STRIPE_TILES: u32 = 256;
 /// Invocations of a workgroup.
@@ -154,10 +154,21 @@ fn scratch_bytes(family: Family, layer: Layer, y: &Shape) -> [u64; 2] {
 }
 
 impl Scratch {
+    /// Bytes of the buffers for every one of `layers` with its result's size; none where there are no layers.
+    fn sizes(family: Family, layers: &[(Layer, Shape)]) -> Option<[u64; 2]> {
+        let most = |i: usize| layers.iter().map(|(layer, y)| scratch_bytes(family, *layer, y)[i]).max();
+        Some([most(0)?, most(1)?])
+    }
+
+    /// The memory that [`Self::new`] will take.
+    #[must_use]
+    pub fn footprint(family: Family, layers: &[(Layer, Shape)]) -> Footprint {
+        Self::sizes(family, layers).into_iter().flatten().map(Footprint::buffer).sum()
+    }
+
     /// Room for every one of `layers` with its result's size; none where there are no layers.
     pub fn new(gpu: &Gpu, family: Family, layers: &[(Layer, Shape)]) -> Result<Option<Self>> {
-        let most = |i: usize| layers.iter().map(|(layer, y)| scratch_bytes(family, *layer, y)[i]).max();
-        let (Some(operand), Some(product)) = (most(0), most(1)) else { return Ok(None) };
+        let Some([operand, product]) = Self::sizes(family, layers) else { return Ok(None) };
         let buffer = |name, bytes| gpu.buffer(name, bytes);
         Ok(Some(Self { operand: buffer("transformed operand", operand)?, product: buffer("products", product)? }))
     }

@@ -1,0 +1,158 @@
+//! Reconstruction of frames in host memory, tile by tile: the device never holds more of a frame than a tile.
+
+use super::frame::BIN;
+use super::network::{Kernels, Network, PIXEL_BYTES};
+use super::tiles::{Rect, Tile, Tiling};
+use crate::Result;
+use crate::gpu::{Buffer, Commands, Footprint, Gpu, Recorder, Slice, Timings};
+use crate::net::architecture::Architecture;
+use crate::net::weights::Weights;
+
+/// The planes of a frame that the network reads.
+pub const PLANES: [&str; 2] = ["radiance", "screen"];
+
+/// A frame in host memory: pixel `i` (row by row from the top) of each of [`PLANES`], as [`crate::render::Outputs`] has
+/// them.
+pub type HostFrame<'a> = [&'a dyn Fn(usize) -> [f32; 4]; PLANES.len()];
+
+/// A network made ready for frames of one size, cut into tiles of one size.
+pub struct TiledDenoiser {
+    network: Network,
+    /// The network alone.
+    forward: Commands,
+    tiling: Tiling,
+    planes: [Buffer; PLANES.len()],
+}
+
+/// Pixels of the frame that the device holds at once: a window's, and at least a row of bins.
+fn plane_pixels(tiling: &Tiling) -> u64 {
+    let (width, height) = tiling.size();
+    window_pixels(tiling).max(u64::from(width) * u64::from(height.min(BIN)))
+}
+
+/// Pixels of a window, without what lies past the frame in every window.
+fn window_pixels(tiling: &Tiling) -> u64 {
+    let ((width, height), window) = (tiling.size(), tiling.window());
+    u64::from(width.min(window.0)) * u64::from(height.min(window.1))
+}
+
+fn add(sum: &mut Timings, part: &Timings) {
+    sum.device_ms += part.device_ms;
+    sum.wall_ms += part.wall_ms;
+}
+
+impl TiledDenoiser {
+    /// The memory that [`Self::new`] will take; nothing more is allocated later.
+    #[must_use]
+    pub fn footprint(architecture: &Architecture, kernels: Kernels, tiling: &Tiling) -> Footprint {
+        let network = Network::footprint(architecture, kernels, tiling.size(), tiling.window(), window_pixels(tiling));
+        let planes = PLANES.iter().map(|_| Footprint::buffer(plane_pixels(tiling) * PIXEL_BYTES));
+        std::iter::once(network).chain(planes).sum()
+    }
+
+    /// Tensors and buffers for one tile. The tiling must follow the rules of these kernels, or tiles will not fit together.
+    pub fn new(gpu: &Gpu, weights: &Weights, kernels: Kernels, tiling: Tiling) -> Result<Self> {
+        let network = Network::new(gpu, weights, kernels, tiling.size(), tiling.window(), window_pixels(&tiling))?;
+        let mut rec = gpu.recorder();
+        network.plan.record(&mut rec, &network.parameters)?;
+        let plane = |name| gpu.buffer(name, plane_pixels(&tiling) * PIXEL_BYTES);
+        let [radiance, screen] = PLANES.map(plane);
+        Ok(Self { network, forward: rec.finish()?, tiling, planes: [radiance?, screen?] })
+    }
+
+    /// The kernels in use.
+    #[must_use]
+    pub fn kernels(&self) -> Kernels {
+        self.network.kernels
+    }
+
+    /// Reconstructs a frame: the planes r, g, b and the times. `progress` is told the share of the tiles that are done.
+    pub fn run(&mut self, frame: &HostFrame, mut progress: impl FnMut(f64)) -> Result<([Vec<f32>; 3], Timings)> {
+        let (width, height) = self.tiling.size();
+        let mut result = [(); 3].map(|()| vec![0.0; width as usize * height as usize]);
+        let mut timings = self.measure(frame)?;
+        let count = self.tiling.count();
+        for (i, tile) in self.tiling.tiles().enumerate() {
+            // A single tile is on the device since it was measured.
+            if count > 1 {
+                self.upload(frame, tile.window.within(self.tiling.size()))?;
+            }
+            add(&mut timings, &self.compute(&tile, &mut result)?);
+            progress((i + 1) as f64 / f64::from(count));
+        }
+        Ok((result, timings))
+    }
+
+    /// Finds the exposure and the depth scale of a frame, strip by strip, for the tiles that follow.
+    pub fn measure(&mut self, frame: &HostFrame) -> Result<Timings> {
+        let (width, height) = self.tiling.size();
+        let rows = (plane_pixels(&self.tiling) / u64::from(width)).min(u64::from(height)) as u32;
+        let rows = if rows == height { rows } else { rows / BIN * BIN };
+        let mut timings = Timings::default();
+        for y in (0..height).step_by(rows as usize) {
+            let strip = Rect { x: 0, y, width, height: rows.min(height - y) };
+            self.upload(frame, strip)?;
+            let [radiance, screen] = self.loaded(strip);
+            let strip = y..y + strip.height;
+            let record = |rec: &mut Recorder| self.network.frame_stats.record_strip(rec, &radiance, &screen, strip);
+            add(&mut timings, &self.now(record)?);
+        }
+        add(&mut timings, &self.now(|rec| self.network.frame_stats.record_join(rec, &self.network.stats))?);
+        Ok(timings)
+    }
+
+    /// Exposure and 1 / depth, as [`Self::measure`] found them.
+    pub fn stats(&self) -> Result<[f32; 2]> {
+        let stats: Vec<f32> = self.network.gpu.download(&self.network.stats)?;
+        Ok([stats[0], stats[1]])
+    }
+
+    /// Reconstructs one tile of the measured frame: writes the pixels of its core, and no others, into the planes r, g, b of
+    /// the frame.
+    pub fn reconstruct(&mut self, frame: &HostFrame, tile: &Tile, result: &mut [Vec<f32>; 3]) -> Result<Timings> {
+        self.upload(frame, tile.window.within(self.tiling.size()))?;
+        self.compute(tile, result)
+    }
+
+    /// The same, its window being on the device.
+    fn compute(&mut self, tile: &Tile, result: &mut [Vec<f32>; 3]) -> Result<Timings> {
+        let frame = self.tiling.size();
+        let (window, core) = (tile.window.within(frame), tile.core.within(frame));
+        let (planes, size) = (self.loaded(window), (window.width, window.height));
+        let planes = [&planes[0], &planes[1]];
+        let mut timings = self.now(|rec| self.network.record_input(rec, planes, size))?;
+        add(&mut timings, &self.forward.run()?);
+        add(&mut timings, &self.now(|rec| self.network.record_output(rec, planes, size))?);
+        let pixels = self.network.download(window.pixels())?;
+        for y in core.y..core.y + core.height {
+            let from = ((y - window.y) * window.width + core.x - window.x) as usize;
+            let to = y as usize * frame.0 as usize + core.x as usize;
+            let row = &pixels[from..from + core.width as usize];
+            for (c, plane) in result.iter_mut().enumerate() {
+                plane[to..to + row.len()].iter_mut().zip(row).for_each(|(value, pixel)| *value = pixel[c]);
+            }
+        }
+        Ok(timings)
+    }
+
+    fn upload(&self, frame: &HostFrame, part: Rect) -> Result<()> {
+        let width = self.tiling.size().0 as usize;
+        let columns = part.x as usize..(part.x + part.width) as usize;
+        for (plane, buffer) in frame.iter().zip(&self.planes) {
+            let rows = (part.y..part.y + part.height).map(|y| y as usize * width);
+            let pixels: Vec<[f32; 4]> = rows.flat_map(|row| columns.clone().map(move |x| plane(row + x))).collect();
+            self.network.gpu.upload(&buffer.all(), &pixels)?;
+        }
+        Ok(())
+    }
+
+    fn loaded(&self, part: Rect) -> [Slice; PLANES.len()] {
+        self.planes.each_ref().map(|buffer| buffer.slice(0, part.pixels() * PIXEL_BYTES))
+    }
+
+    fn now(&self, record: impl FnOnce(&mut Recorder) -> Result<()>) -> Result<Timings> {
+        let mut rec = self.network.gpu.recorder();
+        record(&mut rec)?;
+        rec.finish()?.run()
+    }
+}
