@@ -94,6 +94,10 @@ impl<'a> Work<'a> {
             self.totals.frames.push(json!({ "frame": frame.number, "kept": report::text(&files.exr) }));
             return Ok(true);
         }
+        if let Some(network) = &mut self.network {
+            // What does not fit shows before hours of rendering.
+            network.choose(&self.gpu, (frame.scene.camera.width, frame.scene.camera.height), true)?;
+        }
         let start = Instant::now();
         let label = self.label(frame);
         let mut progress = Progress::new(&label);
@@ -192,9 +196,11 @@ impl<'a> Work<'a> {
     fn reconstruct(&mut self, renderer: &mut Renderer, image: &mut Image) -> Result<()> {
         let Some(network) = &mut self.network else { return Ok(()) };
         let start = Instant::now();
-        let progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
+        let mut progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
+        let pixels = image.pixel_count() as f64;
         let outputs = renderer.outputs()?;
-        match network.run(&self.gpu, [&outputs.radiance, &outputs.screen], image)? {
+        let resident = Some([&outputs.radiance, &outputs.screen]);
+        match network.run(&self.gpu, resident, image, |done| progress.update(done, pixels, "pixels"))? {
             Some(timings) => self.totals.reconstruct_device_ms += timings.device_ms,
             None => self.totals.skipped.push("the reconstruction: no pixel is noisy".into()),
         }

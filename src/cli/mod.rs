@@ -13,6 +13,7 @@ mod render;
 mod report;
 mod scene;
 mod stop;
+mod tile;
 mod train;
 
 use clap::{Parser, Subcommand};

@@ -147,6 +147,13 @@ impl Tiling {
         (self.x.window, self.y.window)
     }
 
+    /// Width and height of the cores inside the frame, pixels; the frame's own where they reach over all of it.
+    #[must_use]
+    pub fn core(&self) -> (u32, u32) {
+        let core = |axis: Axis, size| if axis.count == 1 { size } else { axis.stride };
+        (core(self.x, self.size.0), core(self.y, self.size.1))
+    }
+
     /// Pixels that windows reach at least beyond their cores, but for the frame's ends.
     #[must_use]
     pub fn overlap(&self) -> u32 {
@@ -244,7 +251,7 @@ mod tests {
         let tiling = Tiling::cores((4096, 4096), 256, &RULES[0]);
         let cores: Vec<u32> = tiling.tiles().take(3).map(|tile| tile.core.width).collect();
         assert_eq!(cores, [256 + 128, 256, 256]);
-        assert_eq!(tiling.window(), (512, 512));
+        assert_eq!((tiling.window(), tiling.core()), ((512, 512), (256, 256)));
         // 4096 = 384 + 13 * 256 + 384.
         assert_eq!(tiling.count(), 15 * 15);
     }

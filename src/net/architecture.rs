@@ -319,8 +319,24 @@ mod tests {
         assert_eq!(seed.alignment(), 32);
         assert_eq!(seed.receptive_field(), 286);
         assert_eq!(seed.tile_overlap(), 128);
+        assert_eq!(seed.tile_step(|_| 1), 32);
         assert_eq!((seed.input_channels(), seed.output_channels()), (6, 3));
         assert_eq!((seed.padded(1), seed.padded(768), seed.padded(769)), (32, 768, 800));
+    }
+
+    /// By hand for `seed`: two convolutions at full size in blocks of 4 and one at half size.
+    #[test]
+    fn blocks_widen_the_overlap() {
+        let seed = Architecture::seed();
+        let blocks = |names: &'static [&'static str]| {
+            let nodes = seed.nodes().to_vec();
+            move |id: NodeId| if names.contains(&nodes[id].name.as_str()) { 4 } else { 1 }
+        };
+        let fast = blocks(&["dec_conv1a", "dec_conv1b", "dec_conv2a"]);
+        assert_eq!((seed.tile_overlap_in_blocks(&fast), seed.tile_step(&fast)), (160, 32));
+        // 4 elements of the last level are 128 pixels.
+        let deep = blocks(&["bottleneck"]);
+        assert_eq!((seed.tile_overlap_in_blocks(&deep), seed.tile_step(&deep)), (256, 128));
     }
 
     #[test]
