@@ -51,6 +51,7 @@ pub fn run(args: &Args) -> Result<u8> {
     files.writable(true)?;
     let mut network = Reconstruction::load(args.weights.as_deref(), args.tiles.demand())?;
     let gpu = args.device.open()?;
+    network.choose(&gpu, (image.width, image.height), false)?;
     let mut progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
     let pixels = image.pixel_count() as f64;
     let timings = network.run(&gpu, None, &mut image, |done| progress.update(done, pixels, "pixels"))?;

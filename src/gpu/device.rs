@@ -9,6 +9,10 @@ use std::mem::ManuallyDrop;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+/// Buffers up to this size share blocks of it; larger ones have memory of their own, so that no more than a few blocks are
+/// reserved beyond what buffers take.
+const BLOCK_BYTES: u64 = 16 << 20;
+
 /// Which device to use, and how.
 #[derive(Clone, Debug, Default)]
 pub struct DeviceOptions {
@@ -224,7 +228,7 @@ impl Gpu {
             physical_device: physical,
             debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
             buffer_device_address: false,
-            allocation_sizes: gpu_allocator::AllocationSizes::default(),
+            allocation_sizes: gpu_allocator::AllocationSizes::new(BLOCK_BYTES, BLOCK_BYTES),
         })
         .map_err(|e| Error::Gpu(format!("memory allocator: {e}")))?;
         // SAFETY: the family was requested with one queue.
@@ -261,6 +265,12 @@ impl Gpu {
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
         self.0.peak_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Device memory reserved at the moment, for transfers too, bytes.
+    #[must_use]
+    pub fn reserved_bytes(&self) -> u64 {
+        self.0.allocator().capacity()
     }
 
     /// Time spent creating pipelines so far, milliseconds.
