@@ -90,7 +90,7 @@ impl Axis {
         match i {
             0 => 0,
             i if i == self.count => self.padded,
-            i => self.begin(i - 1) + self.window - self.overlap,
+            i => i * self.stride + self.overlap,
         }
     }
 }
