@@ -6,7 +6,7 @@ mod common;
 use common::compare::{require, same_bits};
 use common::gpu;
 use common::networks::{conv, cut, forward, linear};
-use limpid::denoise::{Choice, Demand, Denoiser, FrameStats, HostFrame, Kernels, Task, TiledDenoiser, Tiling};
+use limpid::denoise::{Choice, Demand, Denoiser, FrameStats, Kernels, Plane, Task, TiledDenoiser, Tiling};
 use limpid::gpu::{DeviceOptions, Gpu, Slice};
 use limpid::net::architecture::{Architecture, Op, Row};
 use limpid::net::kernel::Family;
@@ -92,7 +92,7 @@ impl Frame {
 
     fn tiled(&self, gpu: &Gpu, weights: &Weights, kernels: Kernels, tiling: Tiling) -> Vec<f32> {
         let mut denoiser = TiledDenoiser::new(gpu, weights, kernels, tiling).unwrap();
-        let frame: HostFrame = [&|i| self.radiance[i], &|i| self.screen[i]];
+        let frame: [Plane; 2] = [&|i| self.radiance[i], &|i| self.screen[i]];
         let mut shares = Vec::new();
         let (planes, _) = denoiser.run(&frame, |share| shares.push(share)).unwrap();
         assert_eq!((shares.len() as u32, shares.last()), (tiling.count(), Some(&1.0)));
@@ -238,7 +238,7 @@ fn memory_is_foretold() {
                 let foretold = TiledDenoiser::footprint(&weights.architecture, kernels, &tiling).bytes;
                 assert_eq!(foretold, gpu.peak_bytes(), "{kernels:?}, {tiling:?}");
                 let tile = tiling.tiles().last().unwrap();
-                let planes: HostFrame = [&|i| frame.radiance[i], &|i| frame.screen[i]];
+                let planes: [Plane; 2] = [&|i| frame.radiance[i], &|i| frame.screen[i]];
                 denoiser.measure(&planes).unwrap();
                 let mut result = [(); 3].map(|()| vec![0.0; frame.radiance.len()]);
                 if weights.architecture.name() == "small" {

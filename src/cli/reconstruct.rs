@@ -1,12 +1,10 @@
 //! The network, ready to reconstruct pictures.
 
-use limpid::Result;
-use limpid::denoise::{
-    Choice, Demand, Denoiser, HostFrame, Kernels, Task, TiledDenoiser, check_weights, embedded_weights,
-};
+use limpid::denoise::{Choice, Demand, Denoiser, Kernels, Plane, Task, TiledDenoiser, check_weights, embedded_weights};
 use limpid::gpu::{Gpu, Slice, Timings};
 use limpid::image::{Image, Rgb};
 use limpid::net::weights::Weights;
+use limpid::{Error, Result};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -98,9 +96,9 @@ impl Reconstruction {
             (Made::Tiled(denoiser), _) => {
                 let [r, g, b] = image.rgb("noisy")?;
                 let (x, y, z) = (image.channel("Nscreen.X")?, image.channel("Nscreen.Y")?, image.channel("Z")?);
-                let frame: HostFrame =
-                    [&|i| [r[i], g[i], b[i], f32::from(u8::from(exact(i)))], &|i| [x[i], y[i], z[i], 0.0]];
-                denoiser.run(&frame, progress)?
+                let radiance: Plane = &|i| [r[i], g[i], b[i], f32::from(u8::from(exact(i)))];
+                let screen: Plane = &|i| [x[i], y[i], z[i], 0.0];
+                denoiser.run(&[radiance, screen], progress)?
             }
             (Made::Whole(_), None) => unreachable!("made for frames on the device"),
         };
@@ -115,11 +113,17 @@ impl Reconstruction {
             // The old one's memory is free by now.
             _ => {
                 let (kernels, tiling) = (Kernels::best(gpu.info()), choice.tiling);
-                if resident && tiling.count() == 1 {
-                    Made::Whole(Box::new(Denoiser::with_kernels(gpu, &self.weights, kernels, tiling.size())?))
+                let made = if resident && tiling.count() == 1 {
+                    Denoiser::with_kernels(gpu, &self.weights, kernels, tiling.size()).map(|d| Made::Whole(Box::new(d)))
                 } else {
-                    Made::Tiled(Box::new(TiledDenoiser::new(gpu, &self.weights, kernels, tiling)?))
-                }
+                    TiledDenoiser::new(gpu, &self.weights, kernels, tiling).map(|d| Made::Tiled(Box::new(d)))
+                };
+                made.map_err(|error| match error {
+                    Error::OutOfMemory(cause) => {
+                        Error::OutOfMemory(format!("{cause}; a lower --max-memory takes smaller tiles"))
+                    }
+                    other => other,
+                })?
             }
         };
         Ok(&mut self.made.insert((choice, made)).1)

@@ -9,7 +9,7 @@ mod tiles;
 pub use budget::{Choice, Demand, Task, check_core};
 pub use frame::{BIN, BinsPush, Crop, FrameStats, INPUTS, InputPush, JoinPush, TRANSFER, check_weights, record_input};
 pub use network::{Kernels, OutputPush};
-pub use tiled::{HostFrame, PLANES, TiledDenoiser};
+pub use tiled::{PLANES, Plane, TiledDenoiser};
 pub use tiles::{Rect, Tile, Tiling};
 
 use crate::Result;
@@ -71,10 +71,12 @@ impl Denoiser {
     pub fn record(&self, radiance: &Slice, screen: &Slice) -> Result<Commands> {
         let network = &self.network;
         let mut rec = network.gpu.recorder();
-        network.frame_stats.record(&mut rec, radiance, screen, &network.stats)?;
-        network.record_input(&mut rec, [radiance, screen], self.size)?;
+        let planes = [radiance.clone(), screen.clone()];
+        network.record_strip(&mut rec, &planes, 0..self.size.1)?;
+        network.frame_stats.record_join(&mut rec, &network.stats)?;
+        network.record_input(&mut rec, &planes, self.size)?;
         network.plan.record(&mut rec, &network.parameters)?;
-        network.record_output(&mut rec, [radiance, screen], self.size)?;
+        network.record_output(&mut rec, &planes, self.size)?;
         rec.finish()
     }
 

@@ -9,6 +9,7 @@ use crate::net::parameters::Parameters;
 use crate::net::plan::{Fusion, Memory, Plan, TileRules};
 use crate::net::weights::Weights;
 use crate::{Result, push_block, shaders};
+use std::ops::Range;
 
 push_block! {
     /// Push constants of `network_output.comp`.
@@ -40,6 +41,12 @@ impl Kernels {
     pub fn tile_rules(self, architecture: &Architecture) -> TileRules {
         TileRules::new(architecture, self.family, self.fusion)
     }
+}
+
+/// The planes by name.
+fn both(planes: &[Slice]) -> [&Slice; 2] {
+    let [radiance, screen] = planes else { panic!("{} planes where the network reads two", planes.len()) };
+    [radiance, screen]
 }
 
 /// Everything but the frame itself.
@@ -96,17 +103,22 @@ impl Network {
         })
     }
 
-    /// Records the input from `planes` (radiance, screen) of `size` pixels, at most as many as the input has; what lies
-    /// past them is zero.
-    pub fn record_input(&self, rec: &mut Recorder, planes: [&Slice; 2], size: (u32, u32)) -> Result<()> {
+    /// Records the part that `rows` of a frame have in its exposure and depth scale; `planes` hold these rows.
+    pub fn record_strip(&self, rec: &mut Recorder, planes: &[Slice], rows: Range<u32>) -> Result<()> {
+        let [radiance, screen] = both(planes);
+        self.frame_stats.record_strip(rec, radiance, screen, rows)
+    }
+
+    /// Records the input from planes of `size` pixels, at most as many as the input has; what lies past them is zero.
+    pub fn record_input(&self, rec: &mut Recorder, planes: &[Slice], size: (u32, u32)) -> Result<()> {
         let s = self.plan.input().shape;
         let crop = Crop { x: 0, y: 0, width: s.w, height: s.h, orientation: 0 };
-        let [radiance, screen] = planes;
+        let [radiance, screen] = both(planes);
         record_input(&self.gpu, rec, [radiance, screen, &self.stats], size, crop, &self.plan.input().slice)
     }
 
     /// Records the result for the same pixels.
-    pub fn record_output(&self, rec: &mut Recorder, planes: [&Slice; 2], (width, height): (u32, u32)) -> Result<()> {
+    pub fn record_output(&self, rec: &mut Recorder, planes: &[Slice], (width, height): (u32, u32)) -> Result<()> {
         let kernel = self.gpu.kernel::<shaders::network_output::Shader>(&Default::default())?;
         let padded_width = self.plan.output().shape.w;
         for (begin, count) in windows(self.gpu.info(), u64::from(width) * u64::from(height)) {

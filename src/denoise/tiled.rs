@@ -8,12 +8,11 @@ use crate::gpu::{Buffer, Commands, Footprint, Gpu, Recorder, Slice, Timings};
 use crate::net::architecture::Architecture;
 use crate::net::weights::Weights;
 
-/// The planes of a frame that the network reads.
-pub const PLANES: [&str; 2] = ["radiance", "screen"];
+/// A plane of a frame in host memory: its pixel `i`, row by row from the top.
+pub type Plane<'a> = &'a dyn Fn(usize) -> [f32; 4];
 
-/// A frame in host memory: pixel `i` (row by row from the top) of each of [`PLANES`], as [`crate::render::Outputs`] has
-/// them.
-pub type HostFrame<'a> = [&'a dyn Fn(usize) -> [f32; 4]; PLANES.len()];
+/// The planes that a frame is made of, as [`crate::render::Outputs`] has them.
+pub const PLANES: &[&str] = &["radiance", "screen"];
 
 /// A network made ready for frames of one size, cut into tiles of one size.
 pub struct TiledDenoiser {
@@ -21,7 +20,8 @@ pub struct TiledDenoiser {
     /// The network alone.
     forward: Commands,
     tiling: Tiling,
-    planes: [Buffer; PLANES.len()],
+    /// A window of each of [`PLANES`].
+    planes: Vec<Buffer>,
 }
 
 /// Pixels of the frame that the device holds at once: a window's, and at least a row of bins.
@@ -55,9 +55,9 @@ impl TiledDenoiser {
         let network = Network::new(gpu, weights, kernels, tiling.size(), tiling.window(), window_pixels(&tiling))?;
         let mut rec = gpu.recorder();
         network.plan.record(&mut rec, &network.parameters)?;
-        let plane = |name| gpu.buffer(name, plane_pixels(&tiling) * PIXEL_BYTES);
-        let [radiance, screen] = PLANES.map(plane);
-        Ok(Self { network, forward: rec.finish()?, tiling, planes: [radiance?, screen?] })
+        let plane = |name: &&str| gpu.buffer(name, plane_pixels(&tiling) * PIXEL_BYTES);
+        let planes = PLANES.iter().map(plane).collect::<Result<_>>()?;
+        Ok(Self { network, forward: rec.finish()?, tiling, planes })
     }
 
     /// The kernels in use.
@@ -66,8 +66,12 @@ impl TiledDenoiser {
         self.network.kernels
     }
 
-    /// Reconstructs a frame: the planes r, g, b and the times. `progress` is told the share of the tiles that are done.
-    pub fn run(&mut self, frame: &HostFrame, mut progress: impl FnMut(f64)) -> Result<([Vec<f32>; 3], Timings)> {
+    /// Reconstructs a frame, given as its [`PLANES`]: the planes r, g, b and the times. `progress` is told the share of the
+    /// tiles that are done.
+    ///
+    /// # Panics
+    /// Where there are more planes or fewer; so do the methods below.
+    pub fn run(&mut self, frame: &[Plane], mut progress: impl FnMut(f64)) -> Result<([Vec<f32>; 3], Timings)> {
         let (width, height) = self.tiling.size();
         let mut result = [(); 3].map(|()| vec![0.0; width as usize * height as usize]);
         let mut timings = self.measure(frame)?;
@@ -84,7 +88,7 @@ impl TiledDenoiser {
     }
 
     /// Finds the exposure and the depth scale of a frame, strip by strip, for the tiles that follow.
-    pub fn measure(&mut self, frame: &HostFrame) -> Result<Timings> {
+    pub fn measure(&mut self, frame: &[Plane]) -> Result<Timings> {
         let (width, height) = self.tiling.size();
         let rows = (plane_pixels(&self.tiling) / u64::from(width)).min(u64::from(height)) as u32;
         let rows = if rows == height { rows } else { rows / BIN * BIN };
@@ -92,9 +96,8 @@ impl TiledDenoiser {
         for y in (0..height).step_by(rows as usize) {
             let strip = Rect { x: 0, y, width, height: rows.min(height - y) };
             self.upload(frame, strip)?;
-            let [radiance, screen] = self.loaded(strip);
-            let strip = y..y + strip.height;
-            let record = |rec: &mut Recorder| self.network.frame_stats.record_strip(rec, &radiance, &screen, strip);
+            let planes = self.loaded(strip);
+            let record = |rec: &mut Recorder| self.network.record_strip(rec, &planes, y..y + strip.height);
             add(&mut timings, &self.now(record)?);
         }
         add(&mut timings, &self.now(|rec| self.network.frame_stats.record_join(rec, &self.network.stats))?);
@@ -109,7 +112,7 @@ impl TiledDenoiser {
 
     /// Reconstructs one tile of the measured frame: writes the pixels of its core, and no others, into the planes r, g, b of
     /// the frame.
-    pub fn reconstruct(&mut self, frame: &HostFrame, tile: &Tile, result: &mut [Vec<f32>; 3]) -> Result<Timings> {
+    pub fn reconstruct(&mut self, frame: &[Plane], tile: &Tile, result: &mut [Vec<f32>; 3]) -> Result<Timings> {
         self.upload(frame, tile.window.within(self.tiling.size()))?;
         self.compute(tile, result)
     }
@@ -119,10 +122,9 @@ impl TiledDenoiser {
         let frame = self.tiling.size();
         let (window, core) = (tile.window.within(frame), tile.core.within(frame));
         let (planes, size) = (self.loaded(window), (window.width, window.height));
-        let planes = [&planes[0], &planes[1]];
-        let mut timings = self.now(|rec| self.network.record_input(rec, planes, size))?;
+        let mut timings = self.now(|rec| self.network.record_input(rec, &planes, size))?;
         add(&mut timings, &self.forward.run()?);
-        add(&mut timings, &self.now(|rec| self.network.record_output(rec, planes, size))?);
+        add(&mut timings, &self.now(|rec| self.network.record_output(rec, &planes, size))?);
         let pixels = self.network.download(window.pixels())?;
         for y in core.y..core.y + core.height {
             let from = ((y - window.y) * window.width + core.x - window.x) as usize;
@@ -135,7 +137,8 @@ impl TiledDenoiser {
         Ok(timings)
     }
 
-    fn upload(&self, frame: &HostFrame, part: Rect) -> Result<()> {
+    fn upload(&self, frame: &[Plane], part: Rect) -> Result<()> {
+        assert_eq!(frame.len(), self.planes.len(), "the frame's planes are {PLANES:?}");
         let width = self.tiling.size().0 as usize;
         let columns = part.x as usize..(part.x + part.width) as usize;
         for (plane, buffer) in frame.iter().zip(&self.planes) {
@@ -146,8 +149,8 @@ impl TiledDenoiser {
         Ok(())
     }
 
-    fn loaded(&self, part: Rect) -> [Slice; PLANES.len()] {
-        self.planes.each_ref().map(|buffer| buffer.slice(0, part.pixels() * PIXEL_BYTES))
+    fn loaded(&self, part: Rect) -> Vec<Slice> {
+        self.planes.iter().map(|buffer| buffer.slice(0, part.pixels() * PIXEL_BYTES)).collect()
     }
 
     fn now(&self, record: impl FnOnce(&mut Recorder) -> Result<()>) -> Result<Timings> {

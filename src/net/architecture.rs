@@ -278,8 +278,8 @@ impl Architecture {
         self.tile_overlap_in_blocks(|_| 1)
     }
 
-    /// The same where a convolution's results are computed in blocks of `block(id)` x `block(id)`, so that the rounding of
-    /// each depends on all that its block reads. Cores and tiles begin on the grid of [`tile_step`](Self::tile_step).
+    /// The same where a convolution's results are computed in blocks of `block(id)` x `block(id)` (a power of two), so that the
+    /// rounding of each depends on all that its block reads. Cores and tiles begin on the grid of [`tile_step`](Self::tile_step).
     pub fn tile_overlap_in_blocks(&self, block: impl Fn(NodeId) -> usize) -> usize {
         // How far the core depends on elements below its first one, at each node in that node's elements. What it depends on
         // beyond its last one is as far: both ends lie on the grid.
@@ -302,7 +302,7 @@ impl Architecture {
     /// The grid, in pixels, on which tiles begin: of the alignment and of all blocks.
     pub fn tile_step(&self, block: impl Fn(NodeId) -> usize) -> usize {
         // Powers of two: the largest is a multiple of all.
-        let blocks = self.nodes.iter().enumerate().map(|(id, node)| block(id).next_power_of_two() << node.level);
+        let blocks = self.nodes.iter().enumerate().map(|(id, node)| block(id) << node.level);
         blocks.max().unwrap_or(1).max(self.alignment())
     }
 }

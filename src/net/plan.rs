@@ -61,7 +61,7 @@ pub struct Plan {
     pub values: Vec<DeviceTensor>,
 }
 
-/// Winograd convolutions run at full and at half resolution: deeper down their blocks would not lie on the grid of tiles.
+/// Winograd convolutions run at full and at half resolution: deeper down their blocks would widen the overlap of tiles.
 const MAX_WINOGRAD_LEVEL: usize = 1;
 
 /// Bytes that slices of the arena begin at.
