@@ -8,7 +8,7 @@ use std::ops::Range;
 
 push_block! {
     /// Push constants of `frame_bins.comp`.
-    pub struct BinsPush for shaders::frame_bins { width: u32, height: u32, first: u32 }
+    pub struct BinsPush for shaders::frame_bins { width: u32, height: u32, row: u32, begin: u32, count: u32 }
 }
 push_block! {
     /// Push constants of `frame_join.comp`.
@@ -67,26 +67,47 @@ impl FrameStats {
         Ok(Self { gpu: gpu.clone(), size: (width, height), bins })
     }
 
+    /// Rows of bins.
+    #[must_use]
+    pub fn bin_rows(&self) -> u32 {
+        self.size.1.div_ceil(BIN)
+    }
+
+    /// The rows of the frame that these rows of bins are made of; none have more than [`BIN`].
+    #[must_use]
+    pub fn rows(&self, bin_rows: &Range<u32>) -> Range<u32> {
+        let row = |bin_row: u32| (bin_row * BIN).min(self.size.1);
+        row(bin_rows.start)..row(bin_rows.end)
+    }
+
     /// Records (exposure, 1 / depth, 0, 0) of a frame into `out`, 16 bytes.
     pub fn record(&self, rec: &mut Recorder, radiance: &Slice, screen: &Slice, out: &Slice) -> Result<()> {
-        self.record_strip(rec, radiance, screen, 0..self.size.1)?;
+        self.record_strip(rec, radiance, screen, 0..self.bin_rows())?;
         self.record_join(rec, out)
     }
 
-    /// Records the part that `rows` have in it, of which `radiance` and `screen` hold all pixels; for [`Self::record_join`],
-    /// once all rows are in. How a frame is cut changes no bit.
-    ///
-    /// # Panics
-    /// Where rows begin at no multiple of [`BIN`], or end at none before the frame does.
-    pub fn record_strip(&self, rec: &mut Recorder, radiance: &Slice, screen: &Slice, rows: Range<u32>) -> Result<()> {
+    /// Records the part of some rows of bins; `radiance` and `screen` hold their [`Self::rows`] and may hold no others. Once
+    /// all are in there follows [`Self::record_join`]. How a frame is cut changes no bit.
+    pub fn record_strip(
+        &self,
+        rec: &mut Recorder,
+        radiance: &Slice,
+        screen: &Slice,
+        bin_rows: Range<u32>,
+    ) -> Result<()> {
         let (width, height) = self.size;
-        assert!(rows.start.is_multiple_of(BIN) && (rows.end.is_multiple_of(BIN) || rows.end == height), "{rows:?}");
-        let push = BinsPush { width, height: rows.end - rows.start, first: rows.start / BIN * width.div_ceil(BIN) };
+        let bins_x = width.div_ceil(BIN);
+        let push = BinsPush {
+            width,
+            height,
+            row: self.rows(&bin_rows).start,
+            begin: bin_rows.start * bins_x,
+            count: (bin_rows.end - bin_rows.start) * bins_x,
+        };
         let kernel = self.gpu.kernel::<shaders::frame_bins::Shader>(&Default::default())?;
-        let bind =
-            shaders::frame_bins::Bind { radiance: radiance.clone(), screen: screen.clone(), bins: self.bins[0].all() };
-        let count = u64::from(width.div_ceil(BIN)) * u64::from(push.height.div_ceil(BIN));
-        rec.dispatch(&kernel, &bind, &push, groups(count));
+        let bins = self.bins[0].all();
+        let bind = shaders::frame_bins::Bind { radiance: radiance.clone(), screen: screen.clone(), bins };
+        rec.dispatch(&kernel, &bind, &push, groups(u64::from(push.count)));
         Ok(())
     }
 

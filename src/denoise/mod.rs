@@ -72,7 +72,7 @@ impl Denoiser {
         let network = &self.network;
         let mut rec = network.gpu.recorder();
         let planes = [radiance.clone(), screen.clone()];
-        network.record_strip(&mut rec, &planes, 0..self.size.1)?;
+        network.record_strip(&mut rec, &planes, 0..network.frame_stats.bin_rows())?;
         network.frame_stats.record_join(&mut rec, &network.stats)?;
         network.record_input(&mut rec, &planes, self.size)?;
         network.plan.record(&mut rec, &network.parameters)?;

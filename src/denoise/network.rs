@@ -103,10 +103,10 @@ impl Network {
         })
     }
 
-    /// Records the part that `rows` of a frame have in its exposure and depth scale; `planes` hold these rows.
-    pub fn record_strip(&self, rec: &mut Recorder, planes: &[Slice], rows: Range<u32>) -> Result<()> {
+    /// Records the part that some rows of bins have in exposure and depth scale; `planes` hold the rows of these.
+    pub fn record_strip(&self, rec: &mut Recorder, planes: &[Slice], bin_rows: Range<u32>) -> Result<()> {
         let [radiance, screen] = both(planes);
-        self.frame_stats.record_strip(rec, radiance, screen, rows)
+        self.frame_stats.record_strip(rec, radiance, screen, bin_rows)
     }
 
     /// Records the input from planes of `size` pixels, at most as many as the input has; what lies past them is zero.

@@ -90,15 +90,18 @@ impl TiledDenoiser {
     /// Finds the exposure and the depth scale of a frame, strip by strip, for the tiles that follow.
     pub fn measure(&mut self, frame: &[Plane]) -> Result<Timings> {
         let (width, height) = self.tiling.size();
-        let rows = (plane_pixels(&self.tiling) / u64::from(width)).min(u64::from(height)) as u32;
-        let rows = if rows == height { rows } else { rows / BIN * BIN };
+        let stats = &self.network.frame_stats;
+        // All rows, or as many as fit whatever a row of bins has.
+        let rows = plane_pixels(&self.tiling) / u64::from(width);
+        let each = if rows >= u64::from(height) { stats.bin_rows() } else { rows as u32 / BIN };
         let mut timings = Timings::default();
-        for y in (0..height).step_by(rows as usize) {
-            let strip = Rect { x: 0, y, width, height: rows.min(height - y) };
+        for begin in (0..stats.bin_rows()).step_by(each as usize) {
+            let bin_rows = begin..(begin + each).min(stats.bin_rows());
+            let rows = stats.rows(&bin_rows);
+            let strip = Rect { x: 0, y: rows.start, width, height: rows.end - rows.start };
             self.upload(frame, strip)?;
             let planes = self.loaded(strip);
-            let record = |rec: &mut Recorder| self.network.record_strip(rec, &planes, y..y + strip.height);
-            add(&mut timings, &self.now(record)?);
+            add(&mut timings, &self.now(|rec| self.network.record_strip(rec, &planes, bin_rows))?);
         }
         add(&mut timings, &self.now(|rec| self.network.frame_stats.record_join(rec, &self.network.stats))?);
         Ok(timings)
