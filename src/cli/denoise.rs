@@ -5,7 +5,8 @@ use super::files::{Files, parse_exposure};
 use super::progress::Progress;
 use super::reconstruct::{Reconstruction, exact_pixels};
 use super::report;
-use limpid::gpu::{Buffer, Gpu, Timings};
+use limpid::denoise::{Axes, Guides, Inputs};
+use limpid::gpu::{Gpu, Slice, Timings};
 use limpid::image::{Image, exr};
 use limpid::{Error, Result};
 use serde_json::json;
@@ -14,8 +15,8 @@ use std::time::Instant;
 
 /// Reconstruct a picture that limpid rendered
 ///
-/// IN.exr gives the noisy radiance (noisy.R/G/B, or R, G, B where these are absent), Nscreen.X/Y, Z and albedo.R/G/B. OUT.exr
-/// has the same channels, with the reconstruction in R, G, B; beside it go OUT.png and OUT.compare.png (noisy, reconstructed).
+/// IN.exr gives the noisy radiance (noisy.R/G/B, or R, G, B where these are absent), albedo.R/G/B and what else the weights'
+/// network reads: Nscreen.X/Y and Z, or N.X/Y/Z. OUT.exr has the same channels, with the reconstruction in R, G, B; beside it go OUT.png and OUT.compare.png (noisy, reconstructed).
 /// The result equals that of `limpid render --denoise` bit for bit.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -42,28 +43,36 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<u8> {
     let start = Instant::now();
     let files = Files::new(&args.output)?;
-    let mut image = read(&args.input)?;
-    files.writable(true)?;
     let mut network = Reconstruction::load(args.weights.as_deref())?;
+    let mut image = read(&args.input, network.inputs())?;
+    files.writable(true)?;
     let gpu = args.device.open()?;
-    let [radiance, screen] = upload(&gpu, &image)?;
+    let (radiance, guides) = upload(&gpu, &image, network.inputs())?;
     let progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
-    let timings = network.run(&gpu, [&radiance.all(), &screen.all()], &mut image)?;
+    let timings = network.run(&gpu, (&radiance, &guides), &mut image)?;
     drop(progress);
     args.device.check(&gpu)?;
     let outputs = files.write(&image, args.exposure)?;
     report(args, &gpu, &network, (&image, timings.as_ref()), &outputs, start)
 }
 
-/// The picture, its noisy radiance in `R,G,B`.
-fn read(path: &Path) -> Result<Image> {
+/// The channels of `inputs` beside radiance and albedo, in the order of the buffer that holds them.
+fn guide_channels(inputs: Inputs) -> [&'static str; 3] {
+    match inputs {
+        Inputs::NormalScreenDepth => ["Nscreen.X", "Nscreen.Y", "Z"],
+        Inputs::AlbedoNormal => ["N.X", "N.Y", "N.Z"],
+    }
+}
+
+/// The picture, its noisy radiance in `R,G,B`, with all that `inputs` need. Which pixels are exact is seen from the albedo.
+fn read(path: &Path, inputs: Inputs) -> Result<Image> {
     let mut image = exr::read(path)?;
     if image.has_rgb("noisy") {
         let noisy = image.rgb("noisy")?.map(<[f32]>::to_vec);
         image.set_rgb("", noisy);
     }
-    let wanted = ["R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "Nscreen.X", "Nscreen.Y", "Z"];
-    let missing: Vec<_> = wanted.into_iter().filter(|name| !image.channels.contains_key(*name)).collect();
+    let wanted = ["R", "G", "B", "albedo.R", "albedo.G", "albedo.B"].into_iter().chain(guide_channels(inputs));
+    let missing: Vec<_> = wanted.filter(|name| !image.channels.contains_key(*name)).collect();
     if !missing.is_empty() {
         return Err(Error::input(format!(
             "{}: it has no {}; give an EXR that `limpid render` wrote",
@@ -74,20 +83,27 @@ fn read(path: &Path) -> Result<Image> {
     Ok(image)
 }
 
-/// Radiance (rgb, exact) and screen values (normal x, y, depth, 0) as the renderer has them.
-fn upload(gpu: &Gpu, image: &Image) -> Result<[Buffer; 2]> {
-    let [r, g, b] = image.rgb("")?;
-    let (x, y, z) = (image.channel("Nscreen.X")?, image.channel("Nscreen.Y")?, image.channel("Z")?);
+/// Radiance (rgb, exact) and the guides as the renderer has them.
+fn upload(gpu: &Gpu, image: &Image, inputs: Inputs) -> Result<(Slice, Guides)> {
     let exact = exact_pixels(image)?;
-    let count = image.pixel_count();
-    let radiance: Vec<_> = (0..count).map(|i| [r[i], g[i], b[i], f32::from(u8::from(exact[i]))]).collect();
-    let screen: Vec<_> = (0..count).map(|i| [x[i], y[i], z[i], 0.0]).collect();
-    let make = |name: &str, values: &[[f32; 4]]| {
-        let buffer = gpu.buffer(name, size_of_val(values) as u64)?;
-        gpu.upload(&buffer.all(), values)?;
-        Ok(buffer)
+    let make = |name: &str, planes: [&[f32]; 3], fourth: &dyn Fn(usize) -> f32| {
+        let pixel = |i: usize| [planes[0][i], planes[1][i], planes[2][i], fourth(i)];
+        let pixels: Vec<[f32; 4]> = (0..image.pixel_count()).map(pixel).collect();
+        let buffer = gpu.buffer(name, size_of_val(&pixels[..]) as u64)?;
+        gpu.upload(&buffer.all(), &pixels)?;
+        Ok::<_, Error>(buffer.all())
     };
-    Ok([make("radiance", &radiance)?, make("screen", &screen)?])
+    let [x, y, z] = guide_channels(inputs);
+    let last = make("guides", [image.channel(x)?, image.channel(y)?, image.channel(z)?], &|_| 0.0)?;
+    let guides = match inputs {
+        Inputs::NormalScreenDepth => Guides::NormalScreenDepth { screen: last },
+        Inputs::AlbedoNormal => {
+            let albedo = make("albedo", image.rgb("albedo")?, &|_| 0.0)?;
+            Guides::AlbedoNormal { albedo, normal_world: last, axes: Axes::default() }
+        }
+    };
+    let radiance = make("radiance", image.rgb("")?, &|i| f32::from(u8::from(exact[i])))?;
+    Ok((radiance, guides))
 }
 
 fn report(

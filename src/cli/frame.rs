@@ -6,6 +6,7 @@ use super::reconstruct::Reconstruction;
 use super::render::Args;
 use super::report;
 use super::stop::{Signal, Stop};
+use limpid::denoise::{Axes, Guides};
 use limpid::gpu::Gpu;
 use limpid::image::{Image, exr, file};
 use limpid::render::{Features, Renderer, Settings};
@@ -194,7 +195,8 @@ impl<'a> Work<'a> {
         let start = Instant::now();
         let progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
         let outputs = renderer.outputs()?;
-        match network.run(&self.gpu, [&outputs.radiance, &outputs.screen], image)? {
+        let guides = Guides::of(&outputs, network.inputs(), Axes::default());
+        match network.run(&self.gpu, (&outputs.radiance, &guides), image)? {
             Some(timings) => self.totals.reconstruct_device_ms += timings.device_ms,
             None => self.totals.skipped.push("the reconstruction: no pixel is noisy".into()),
         }

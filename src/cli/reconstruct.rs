@@ -1,7 +1,7 @@
 //! The network, ready to reconstruct pictures.
 
 use limpid::Result;
-use limpid::denoise::{Denoiser, check_weights, embedded_weights};
+use limpid::denoise::{Denoiser, Guides, Inputs, Preparation, embedded_weights};
 use limpid::gpu::{Gpu, Slice, Timings};
 use limpid::image::Image;
 use limpid::net::weights::Weights;
@@ -13,6 +13,7 @@ use std::path::Path;
 pub struct Reconstruction {
     name: String,
     weights: Weights,
+    inputs: Inputs,
     sha256: String,
     denoiser: Option<((u32, u32), Denoiser)>,
 }
@@ -22,9 +23,14 @@ impl Reconstruction {
     pub fn load(file: Option<&Path>) -> Result<Self> {
         let name = file.map_or_else(|| "embedded".to_owned(), |file| file.display().to_string());
         let weights = file.map_or_else(embedded_weights, Weights::load)?;
-        check_weights(&weights, &name)?;
+        let inputs = Preparation::of_weights(&weights, &name)?.inputs;
         let sha256 = Sha256::digest(weights.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { name, weights, sha256, denoiser: None })
+        Ok(Self { name, weights, inputs, sha256, denoiser: None })
+    }
+
+    /// What the network reads of a frame.
+    pub fn inputs(&self) -> Inputs {
+        self.inputs
     }
 
     /// The SHA-256 of the weights as limpid writes them to a file.
@@ -42,9 +48,9 @@ impl Reconstruction {
         self.denoiser.as_ref().map(|(_, denoiser)| denoiser.family().name())
     }
 
-    /// Moves the channels `R,G,B` to `noisy` and puts their reconstruction in their place. `radiance` and `screen` are
-    /// the same picture on the device. Nothing runs where nothing is noisy: then the result has no times.
-    pub fn run(&mut self, gpu: &Gpu, frame: [&Slice; 2], image: &mut Image) -> Result<Option<Timings>> {
+    /// Moves the channels `R,G,B` to `noisy` and puts their reconstruction in their place. `frame` is the
+    /// same picture on the device: radiance, and the guides for [`Self::inputs`]. Nothing runs where nothing is noisy: then the result has no times.
+    pub fn run(&mut self, gpu: &Gpu, frame: (&Slice, &Guides), image: &mut Image) -> Result<Option<Timings>> {
         let noisy = image.rgb("")?.map(<[f32]>::to_vec);
         image.set_rgb("noisy", noisy);
         image.attributes.insert("weights".into(), self.sha256.clone());
@@ -58,7 +64,7 @@ impl Reconstruction {
             _ => Denoiser::new(gpu, &self.weights, size.0, size.1)?,
         };
         let (_, denoiser) = self.denoiser.insert((size, denoiser));
-        let (planes, timings) = denoiser.run(frame[0], frame[1])?;
+        let (planes, timings) = denoiser.run(frame.0, frame.1)?;
         image.set_rgb("", planes);
         Ok(Some(timings))
     }

@@ -1,8 +1,10 @@
 //! Reconstruction: frame -> network input -> network -> frame, all on the device.
 
 mod frame;
+mod preparation;
 
-pub use frame::{BinsPush, Crop, FrameStats, INPUTS, InputPush, JoinPush, TRANSFER, check_weights, record_input};
+pub use frame::{AlbedoNormalPush, Axes, BinsPush, Crop, Frame, FrameStats, Guides, InputPush, JoinPush, record_input};
+pub use preparation::{Inputs, Preparation, Transfer};
 
 use crate::gpu::{Buffer, Commands, Gpu, Slice, Timings};
 use crate::net::device::{groups, windows};
@@ -10,7 +12,7 @@ use crate::net::kernel::Family;
 use crate::net::parameters::Parameters;
 use crate::net::plan::{Fusion, Memory, Plan};
 use crate::net::weights::Weights;
-use crate::{Result, push_block, shaders};
+use crate::{Error, Result, push_block, shaders};
 
 push_block! {
     /// Push constants of `network_output.comp`.
@@ -29,6 +31,7 @@ pub fn embedded_weights() -> Result<Weights> {
 pub struct Denoiser {
     gpu: Gpu,
     size: (u32, u32),
+    preparation: Preparation,
     family: Family,
     parameters: Parameters,
     plan: Plan,
@@ -38,8 +41,9 @@ pub struct Denoiser {
 }
 
 impl Denoiser {
-    /// Tensors for frames of `width` x `height` pixels.
+    /// Tensors for frames of `width` x `height` pixels. The metadata of `weights` say what their network reads.
     pub fn new(gpu: &Gpu, weights: &Weights, width: u32, height: u32) -> Result<Self> {
+        let preparation = Preparation::of_weights(weights, "weights")?;
         let family = Family::choose(gpu.info());
         let parameters = Parameters::new(gpu, family, weights, false)?;
         let padded = |size: u32| weights.architecture.padded(size as usize) as u32;
@@ -48,10 +52,11 @@ impl Denoiser {
         Ok(Self {
             gpu: gpu.clone(),
             size: (width, height),
+            preparation,
             family,
             parameters,
             plan,
-            frame_stats: FrameStats::new(gpu, width, height)?,
+            frame_stats: FrameStats::new(gpu, preparation.transfer, width, height)?,
             stats: gpu.buffer("frame stats", 16)?,
             result: gpu.buffer("reconstruction", u64::from(width) * u64::from(height) * 16)?,
         })
@@ -63,19 +68,32 @@ impl Denoiser {
         self.family
     }
 
-    /// Records the reconstruction of a frame: `radiance` (rgb, exact) and `screen` (normal x, y, depth, hit), four floats
-    /// a pixel, as [`crate::render::Outputs`] has them.
-    pub fn record(&self, radiance: &Slice, screen: &Slice) -> Result<Commands> {
+    /// What is done to a frame before and after the network.
+    #[must_use]
+    pub fn preparation(&self) -> Preparation {
+        self.preparation
+    }
+
+    /// Records the reconstruction of a frame: `radiance` (rgb, exact), four floats a pixel, as [`crate::render::Outputs`] has
+    /// it, and the guides that the weights ask for.
+    pub fn record(&self, radiance: &Slice, guides: &Guides) -> Result<Commands> {
+        let Preparation { inputs, transfer } = self.preparation;
+        if guides.inputs() != inputs {
+            let (given, wanted) = (guides.inputs().name(), inputs.name());
+            return Err(Error::input(format!("the weights read {wanted}, but are given {given}")));
+        }
         let mut rec = self.gpu.recorder();
         let (width, height) = self.size;
         let stats = self.stats.slice(0, 16);
-        self.frame_stats.record(&mut rec, radiance, screen, &stats)?;
+        self.frame_stats.record(&mut rec, radiance, guides, &stats)?;
         let s = self.plan.input().shape;
         let crop = Crop { x: 0, y: 0, width: s.w, height: s.h, orientation: 0 };
-        let input = &self.plan.input().slice;
-        record_input(&self.gpu, &mut rec, [radiance, screen, &stats], self.size, crop, input)?;
+        let frame = Frame { radiance, guides, stats: &stats, size: self.size };
+        record_input(&self.gpu, &mut rec, transfer, &frame, crop, &self.plan.input().slice)?;
         self.plan.record(&mut rec, &self.parameters)?;
-        let kernel = self.gpu.kernel::<shaders::network_output::Shader>(&Default::default())?;
+        let kernel = self
+            .gpu
+            .kernel::<shaders::network_output::Shader>(&shaders::network_output::Spec { transfer: transfer.id() })?;
         for (begin, count) in windows(self.gpu.info(), u64::from(width) * u64::from(height)) {
             let push = OutputPush { begin: begin as u32, count: count as u32, width, padded_width: s.w };
             let bind = shaders::network_output::Bind {
@@ -90,8 +108,8 @@ impl Denoiser {
     }
 
     /// Reconstructs a frame; the planes r, g, b and the times.
-    pub fn run(&self, radiance: &Slice, screen: &Slice) -> Result<([Vec<f32>; 3], Timings)> {
-        let timings = self.record(radiance, screen)?.run()?;
+    pub fn run(&self, radiance: &Slice, guides: &Guides) -> Result<([Vec<f32>; 3], Timings)> {
+        let timings = self.record(radiance, guides)?.run()?;
         let count = u64::from(self.size.0) * u64::from(self.size.1);
         let pixels: Vec<[f32; 4]> = self.gpu.download(&self.result.slice(0, count * 16))?;
         Ok((std::array::from_fn(|c| pixels.iter().map(|p| p[c]).collect()), timings))
