@@ -14,6 +14,7 @@ mod report;
 mod scene;
 mod stop;
 mod train;
+mod weights;
 
 use clap::{Parser, Subcommand};
 use limpid::Result;
@@ -40,6 +41,7 @@ enum Command {
     Scene(scene::Args),
     Train(Box<train::Args>),
     Bench(bench::Args),
+    Weights(weights::Args),
     Devices(devices::Args),
 }
 
@@ -52,6 +54,7 @@ pub fn run(cli: &Cli) -> Result<u8> {
         Command::Scene(args) => scene::run(args),
         Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Weights(args) => weights::run(args),
         Command::Devices(args) => devices::run(args),
     }
 }
