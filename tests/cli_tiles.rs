@@ -79,3 +79,23 @@ fn demands_that_cannot_be_met() {
     cli.fails(&["render", "--tile", "32"], 2, &["--denoise"]);
     cli.fails(&["render", "--max-memory", "32"], 2, &["--denoise"]);
 }
+
+/// A network that reads albedo and world-space normals.
+#[test]
+fn base_in_tiles_too() {
+    let cli = Cli::new();
+    let base = limpid::net::architecture::Architecture::named("base").expect("an architecture");
+    cli.weights_of(&base, "base.safetensors");
+    let scene = ["spheres:5", "--size", "403x61", "--spp", "1"];
+    cli.render(&[&scene[..], &["-o", "noisy.exr"]].concat());
+    let weights = ["--weights", "base.safetensors"];
+    cli.ok(&[&["denoise", "noisy.exr", "-o", "whole.exr", "--validation"], &weights[..]].concat());
+    let report = cli.json(&[&["denoise", "noisy.exr", "-o", "a.exr", "--tile", "32", "--json"], &weights[..]].concat());
+    assert!(report["tiling"]["tiles"].as_u64().unwrap() > 1, "{}", report["tiling"]);
+    assert_eq!(report["tiling"]["device_bytes"], report["peak_device_bytes"]);
+    same(&cli, "a", "whole");
+    for (output, flags) in [("b", &["--denoise"][..]), ("c", &["--denoise", "--tile", "32"])] {
+        cli.render(&[&scene[..], flags, &weights, &["-o", &format!("{output}.exr")]].concat());
+        same(&cli, output, "whole");
+    }
+}

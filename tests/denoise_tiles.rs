@@ -6,7 +6,10 @@ mod common;
 use common::compare::{require, same_bits};
 use common::gpu;
 use common::networks::{conv, cut, forward, linear};
-use limpid::denoise::{Choice, Demand, Denoiser, FrameStats, Kernels, Plane, Task, TiledDenoiser, Tiling};
+use limpid::denoise::{
+    Choice, Demand, Denoiser, FrameStats, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, Tiling,
+    Transfer,
+};
 use limpid::gpu::{DeviceOptions, Gpu, Slice};
 use limpid::net::architecture::{Architecture, Op, Row};
 use limpid::net::kernel::Family;
@@ -41,25 +44,30 @@ fn small() -> Weights {
         ("e", conv(96, 48), &["cat1"]),
         ("out", linear(48, 3), &["e"]),
     ];
-    Weights::glorot(&Architecture::from_rows("small", rows).unwrap(), 5)
+    glorot(&Architecture::from_rows("small", rows).unwrap())
 }
 
 fn seed() -> Weights {
-    Weights::glorot(&Architecture::seed(), 3)
+    glorot(&Architecture::seed())
 }
 
-/// Radiance over three decades, brighter to the right; every seventh pixel exact. Normals and depths at random.
+fn glorot(architecture: &Architecture) -> Weights {
+    let mut weights = Weights::glorot(architecture, 3);
+    weights.metadata.extend(Preparation::of_architecture(architecture).unwrap().metadata());
+    weights
+}
+
+/// Radiance over three decades, brighter to the right; every seventh pixel exact. Normals, depths and albedo at random.
 struct Frame {
     size: (u32, u32),
-    radiance: Vec<[f32; 4]>,
-    screen: Vec<[f32; 4]>,
+    inputs: Inputs,
+    planes: Vec<Vec<[f32; 4]>>,
 }
 
 impl Frame {
-    fn random(width: u32, height: u32) -> Self {
+    fn random((width, height): (u32, u32), inputs: Inputs) -> Self {
         let stream = seed_of(&format!("tiles {width}x{height}"));
         let u = |i: u64, k: u64| uniform(stream, i * 8 + k);
-        let count = u64::from(width) * u64::from(height);
         let radiance = |i: u64| {
             let scale = 1.0 + (i % u64::from(width)) as f64 / 100.0;
             let level = |k| (scale * 10f64.powf(3.0 * u(i, k) - 2.0)) as f32;
@@ -69,32 +77,45 @@ impl Frame {
             let signed = |k| (2.0 * u(i, k) - 1.0) as f32;
             [signed(3), signed(4), (1.0 + 4.0 * u(i, 5)) as f32, 0.0]
         };
-        Self {
-            size: (width, height),
-            radiance: (0..count).map(radiance).collect(),
-            screen: (0..count).map(screen).collect(),
+        let albedo = |i| [u(i, 3) as f32, u(i, 4) as f32, u(i, 5) as f32, 0.0];
+        let count = u64::from(width) * u64::from(height);
+        let mut planes: Vec<Vec<[f32; 4]>> = vec![(0..count).map(radiance).collect()];
+        match inputs {
+            Inputs::NormalScreenDepth => planes.push((0..count).map(screen).collect()),
+            Inputs::AlbedoNormal => {
+                planes.push((0..count).map(albedo).collect());
+                planes.push((0..count).map(screen).collect());
+            }
         }
+        Self { size: (width, height), inputs, planes }
     }
 
-    fn upload(&self, gpu: &Gpu) -> [Slice; 2] {
-        [&self.radiance, &self.screen].map(|pixels| {
+    fn upload(&self, gpu: &Gpu) -> (Slice, Guides) {
+        let upload = |pixels: &Vec<[f32; 4]>| {
             let buffer = gpu.buffer("plane", pixels.len() as u64 * 16).unwrap();
             gpu.upload(&buffer.all(), pixels).unwrap();
             buffer.slice(0, pixels.len() as u64 * 16)
-        })
+        };
+        let slices: Vec<Slice> = self.planes.iter().map(upload).collect();
+        (slices[0].clone(), Guides::of_planes(self.inputs, &slices[1..]))
     }
 
     fn whole(&self, gpu: &Gpu, weights: &Weights, kernels: Kernels) -> Vec<f32> {
-        let [radiance, screen] = self.upload(gpu);
+        let (radiance, guides) = self.upload(gpu);
         let denoiser = Denoiser::with_kernels(gpu, weights, kernels, self.size).unwrap();
-        denoiser.run(&radiance, &screen).unwrap().0.concat()
+        denoiser.run(&radiance, &guides).unwrap().0.concat()
+    }
+
+    /// Calls `f` with the planes as the tiles' denoiser takes them.
+    fn with_planes<R>(&self, f: impl FnOnce(&[Plane]) -> R) -> R {
+        let pixels: Vec<_> = self.planes.iter().map(|plane| move |i: usize| plane[i]).collect();
+        f(&pixels.iter().map(|pixel| pixel as Plane).collect::<Vec<_>>())
     }
 
     fn tiled(&self, gpu: &Gpu, weights: &Weights, kernels: Kernels, tiling: Tiling) -> Vec<f32> {
         let mut denoiser = TiledDenoiser::new(gpu, weights, kernels, tiling).unwrap();
-        let frame: [Plane; 2] = [&|i| self.radiance[i], &|i| self.screen[i]];
         let mut shares = Vec::new();
-        let (planes, _) = denoiser.run(&frame, |share| shares.push(share)).unwrap();
+        let (planes, _) = self.with_planes(|planes| denoiser.run(planes, |share| shares.push(share)).unwrap());
         assert_eq!((shares.len() as u32, shares.last()), (tiling.count(), Some(&1.0)));
         planes.concat()
     }
@@ -107,7 +128,7 @@ fn tiles_equal_the_whole_frame() {
     for kernels in all_kernels(&gpu) {
         let rules = kernels.tile_rules(&weights.architecture);
         for (width, height) in [(117, 61), (50, 93), (9, 5)] {
-            let frame = Frame::random(width, height);
+            let frame = Frame::random((width, height), Inputs::NormalScreenDepth);
             let whole = frame.whole(&gpu, &weights, kernels);
             // One tile from host memory, then smaller and smaller ones.
             let mut tilings = vec![Tiling::whole(frame.size, &rules), Tiling::cores(frame.size, rules.step, &rules)];
@@ -123,18 +144,29 @@ fn tiles_equal_the_whole_frame() {
     assert!(counts.iter().filter(|count| **count > 4).count() > 5, "hardly any tiles: {counts:?}");
 }
 
-/// The network that is shipped, at odd sizes.
+/// The architectures that are shipped, at odd sizes.
 #[test]
 fn tiles_of_seed_equal_the_whole_frame() {
-    let (gpu, weights) = (gpu(), seed());
+    let sizes = [((333, 221), 1), ((200, 410), 1), ((610, 33), 2)];
+    tiles_equal_the_whole(&seed(), Inputs::NormalScreenDepth, &sizes);
+}
+
+#[test]
+fn tiles_of_base_equal_the_whole_frame() {
+    let sizes = [((333, 221), 2), ((99, 310), 1)];
+    tiles_equal_the_whole(&glorot(&Architecture::named("base").unwrap()), Inputs::AlbedoNormal, &sizes);
+}
+
+fn tiles_equal_the_whole(weights: &Weights, inputs: Inputs, sizes: &[((u32, u32), u32)]) {
+    let gpu = gpu();
     let kernels = Kernels::best(gpu.info());
     let rules = kernels.tile_rules(&weights.architecture);
-    for ((width, height), tiles) in [((333, 221), 1), ((200, 410), 1), ((610, 33), 2)] {
-        let frame = Frame::random(width, height);
+    for (size, tiles) in sizes {
+        let frame = Frame::random(*size, inputs);
         let tiling = Tiling::cores(frame.size, 64, &rules);
-        assert!(tiling.count() >= tiles, "{tiling:?}");
-        let tiled = frame.tiled(&gpu, &weights, kernels, tiling);
-        require(&format!("{tiling:?}"), same_bits(&tiled, &frame.whole(&gpu, &weights, kernels)));
+        assert!(tiling.count() >= *tiles, "{tiling:?}");
+        let tiled = frame.tiled(&gpu, weights, kernels, tiling);
+        require(&format!("{tiling:?}"), same_bits(&tiled, &frame.whole(&gpu, weights, kernels)));
     }
 }
 
@@ -198,25 +230,28 @@ fn the_overlap_is_exact() {
 /// Exposure and depth scale, found in strips as narrow as a row of bins, have the bits of the whole frame's.
 #[test]
 fn stats_of_strips_equal_the_frame() {
-    let (gpu, weights) = (gpu(), small());
-    let kernels = Kernels::best(gpu.info());
-    let rules = kernels.tile_rules(&weights.architecture);
-    for (width, height) in [(1, 1), (33, 47), (300, 285), (40, 2000), (5000, 40)] {
-        let mut frame = Frame::random(width, height);
-        // The deepest pixel is in the last row, the brightest bins are to the right.
-        frame.screen.last_mut().unwrap()[2] = 77.0;
-        let [radiance, screen] = frame.upload(&gpu);
-        let out = gpu.buffer("stats", 16).unwrap().slice(0, 16);
-        let mut rec = gpu.recorder();
-        FrameStats::new(&gpu, width, height).unwrap().record(&mut rec, &radiance, &screen, &out).unwrap();
-        rec.finish().unwrap().run().unwrap();
-        let whole: Vec<f32> = gpu.download(&out).unwrap();
-        assert_eq!(whole[1], 1.0 / 77.0);
-        for tiling in [Tiling::whole(frame.size, &rules), Tiling::cores(frame.size, rules.step, &rules)] {
-            let mut denoiser = TiledDenoiser::new(&gpu, &weights, kernels, tiling).unwrap();
-            denoiser.measure(&[&|i| frame.radiance[i], &|i| frame.screen[i]]).unwrap();
-            let what = format!("{width}x{height}, {} tiles", tiling.count());
-            require(&what, same_bits(&denoiser.stats().unwrap(), &whole[..2]));
+    let gpu = gpu();
+    for weights in [small(), glorot(&Architecture::named("base").unwrap())] {
+        let Preparation { inputs, transfer } = Preparation::of_weights(&weights, "weights").unwrap();
+        let kernels = Kernels::best(gpu.info());
+        let rules = kernels.tile_rules(&weights.architecture);
+        for (width, height) in [(1, 1), (33, 47), (300, 285), (40, 2005), (5000, 40)] {
+            let mut frame = Frame::random((width, height), inputs);
+            // The deepest pixel is in the last row, the brightest bins are to the right.
+            frame.planes[1].last_mut().unwrap()[2] = 77.0;
+            let (radiance, guides) = frame.upload(&gpu);
+            let out = gpu.buffer("stats", 16).unwrap().slice(0, 16);
+            let mut rec = gpu.recorder();
+            FrameStats::new(&gpu, transfer, width, height).unwrap().record(&mut rec, &radiance, &guides, &out).unwrap();
+            rec.finish().unwrap().run().unwrap();
+            let whole: Vec<f32> = gpu.download(&out).unwrap();
+            assert_eq!(whole[1], if transfer == Transfer::Log1p { 1.0 / 77.0 } else { 1.0 });
+            for tiling in [Tiling::whole(frame.size, &rules), Tiling::cores(frame.size, rules.step, &rules)] {
+                let mut denoiser = TiledDenoiser::new(&gpu, &weights, kernels, tiling).unwrap();
+                frame.with_planes(|planes| denoiser.measure(planes)).unwrap();
+                let what = format!("{transfer:?}, {width}x{height}, {} tiles", tiling.count());
+                require(&what, same_bits(&denoiser.stats().unwrap(), &whole[..2]));
+            }
         }
     }
 }
@@ -225,25 +260,27 @@ fn stats_of_strips_equal_the_frame() {
 /// more is reserved.
 #[test]
 fn memory_is_foretold() {
-    let weights = [small(), seed()];
+    let weights = [small(), seed(), glorot(&Architecture::named("base").unwrap())];
     for kernels in all_kernels(&gpu()) {
         for weights in &weights {
             let rules = kernels.tile_rules(&weights.architecture);
-            let frame = Frame::random(400, 37);
+            let inputs = Preparation::of_weights(weights, "weights").unwrap().inputs;
+            let frame = Frame::random((400, 37), inputs);
             let tilings = [Tiling::whole(frame.size, &rules), Tiling::cores(frame.size, rules.step, &rules)];
             for tiling in tilings {
                 // A device of its own, which counts nobody else's buffers.
                 let gpu = Gpu::new(&DeviceOptions { validation: true, ..DeviceOptions::default() }).unwrap();
                 let mut denoiser = TiledDenoiser::new(&gpu, weights, kernels, tiling).unwrap();
-                let foretold = TiledDenoiser::footprint(&weights.architecture, kernels, &tiling).bytes;
+                let foretold = TiledDenoiser::footprint(&weights.architecture, inputs, kernels, &tiling).bytes;
                 assert_eq!(foretold, gpu.peak_bytes(), "{kernels:?}, {tiling:?}");
                 let tile = tiling.tiles().last().unwrap();
-                let planes: [Plane; 2] = [&|i| frame.radiance[i], &|i| frame.screen[i]];
-                denoiser.measure(&planes).unwrap();
-                let mut result = [(); 3].map(|()| vec![0.0; frame.radiance.len()]);
-                if weights.architecture.name() == "small" {
-                    denoiser.reconstruct(&planes, &tile, &mut result).unwrap();
-                }
+                frame.with_planes(|planes| {
+                    denoiser.measure(planes).unwrap();
+                    let mut result = [(); 3].map(|()| vec![0.0; frame.planes[0].len()]);
+                    if weights.architecture.name() == "small" {
+                        denoiser.reconstruct(planes, &tile, &mut result).unwrap();
+                    }
+                });
                 assert_eq!(foretold, gpu.peak_bytes(), "{kernels:?}, {tiling:?}: more while it ran");
                 // Small buffers share blocks of 16 MiB, one of which transfers go through.
                 assert!(gpu.reserved_bytes() <= foretold + (64 << 20), "{} reserved", gpu.reserved_bytes());
@@ -259,7 +296,8 @@ fn memory_is_foretold() {
 
 /// `seed` on frames of a size, by the device's best kernels.
 fn task<'a>(gpu: &'a Gpu, seed: &'a Architecture, size: (u32, u32)) -> Task<'a> {
-    Task { info: gpu.info(), architecture: seed, kernels: Kernels::best(gpu.info()), size, resident: false }
+    let inputs = Inputs::NormalScreenDepth;
+    Task { info: gpu.info(), architecture: seed, inputs, kernels: Kernels::best(gpu.info()), size, resident: false }
 }
 
 fn limited(mib: u64) -> Demand {

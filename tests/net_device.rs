@@ -4,9 +4,10 @@
 mod common;
 
 use common::compare::{l2_close, require, same_bits};
-use common::networks::{cut, deep, forward, tiny, weights, wide};
+use common::networks::{cut, deep, forward, small_base, tiny, weights, wide};
 use common::{goldens, gpu};
 use limpid::net::architecture::Architecture;
+use limpid::net::base::Widths;
 use limpid::net::kernel::Family;
 use limpid::net::plan::{Fusion, Memory, Plan};
 use limpid::net::reference;
@@ -63,6 +64,33 @@ fn seed_matches_pytorch() {
 #[test]
 fn seed_matches_pytorch_on_a_batch_of_another_shape() {
     matches_pytorch(&Architecture::seed(), [2, 64, 32]);
+}
+
+#[test]
+fn base_matches_pytorch() {
+    matches_pytorch(&small_base(), [1, 32, 32]);
+}
+
+#[test]
+fn base_matches_pytorch_on_a_batch_of_another_shape() {
+    matches_pytorch(&small_base(), [2, 48, 16]);
+}
+
+/// The widths that limpid trains and those of Open Image Denoise, with every choice of kernels, against the f64 reference.
+#[test]
+fn base_of_full_width_matches_the_reference() {
+    let gpu = gpu();
+    for widths in [Widths::default(), Widths::open_image_denoise()] {
+        let base = Architecture::base(&widths).unwrap();
+        let (weights, input) = (weights(&base), input(&base, [1, 48, 32], "full width"));
+        let expected = reference::forward(&base, &weights.to_f64(), &input.to_f64()).pop().unwrap();
+        for family in Family::all(gpu.info()) {
+            for plan in PLANS.iter().chain(winograd(family)) {
+                let output = forward(&gpu, &weights, family, *plan, &input);
+                require(&format!("{}, {plan:?}", family.name()), l2_close(&output.data, &expected.data, 1e-5));
+            }
+        }
+    }
 }
 
 /// Channel counts, widths and heights that fill no texel, tile or workgroup.

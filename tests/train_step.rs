@@ -3,7 +3,7 @@
 mod common;
 
 use common::compare::{close, l2_close, relative_l2, require, same_bits, within};
-use common::networks::{forward, tiny, weights, wide};
+use common::networks::{forward, small_base, tiny, weights, wide};
 use common::{goldens, gpu};
 use limpid::gpu::{Gpu, hazard};
 use limpid::net::architecture::Architecture;
@@ -125,6 +125,12 @@ fn steps_of_a_tiny_network_equal_the_reference() {
 #[test]
 fn steps_of_seed_equal_the_reference() {
     three_steps(&Architecture::seed(), [2, 32, 32]);
+}
+
+/// Slope 0; pooled values with two users; a skip that is the network's input.
+#[test]
+fn steps_of_base_equal_the_reference() {
+    three_steps(&small_base(), [2, 32, 16]);
 }
 
 /// The whole trajectory against the reference's, which never sees the device. Adam divides by the gradient's size and so

@@ -6,6 +6,7 @@ use super::progress::Progress;
 use super::reconstruct::Reconstruction;
 use super::report;
 use super::tile::TileArgs;
+use limpid::denoise::Inputs;
 use limpid::gpu::{Gpu, Timings};
 use limpid::image::{Image, exr};
 use limpid::{Error, Result};
@@ -15,8 +16,8 @@ use std::time::Instant;
 
 /// Reconstruct a picture that limpid rendered
 ///
-/// IN.exr gives the noisy radiance (noisy.R/G/B, or R, G, B where these are absent), Nscreen.X/Y, Z and albedo.R/G/B. OUT.exr
-/// has the same channels, with the reconstruction in R, G, B; beside it go OUT.png and OUT.compare.png (noisy, reconstructed).
+/// IN.exr gives the noisy radiance (noisy.R/G/B, or R, G, B where these are absent), albedo.R/G/B and what else the weights'
+/// network reads: Nscreen.X/Y and Z, or N.X/Y/Z. OUT.exr has the same channels, with the reconstruction in R, G, B; beside it go OUT.png and OUT.compare.png (noisy, reconstructed).
 /// The result equals that of `limpid render --denoise` bit for bit.
 ///
 /// A frame that does not fit the device is reconstructed in tiles, with the same bits.
@@ -47,9 +48,9 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<u8> {
     let start = Instant::now();
     let files = Files::new(&args.output)?;
-    let mut image = read(&args.input)?;
-    files.writable(true)?;
     let mut network = Reconstruction::load(args.weights.as_deref(), args.tiles.demand())?;
+    let mut image = read(&args.input, network.inputs())?;
+    files.writable(true)?;
     let gpu = args.device.open()?;
     network.choose(&gpu, (image.width, image.height), false)?;
     let mut progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
@@ -62,14 +63,15 @@ pub fn run(args: &Args) -> Result<u8> {
     report(args, &gpu, &network, (&image, timings.as_ref()), &outputs, start)
 }
 
-/// The picture, its noisy radiance in `R,G,B`.
-fn read(path: &Path) -> Result<Image> {
+/// The picture, its noisy radiance in `R,G,B`, with all that `inputs` need. Which pixels are exact is seen from the albedo.
+fn read(path: &Path, inputs: Inputs) -> Result<Image> {
     let mut image = exr::read(path)?;
     if image.has_rgb("noisy") {
         image.move_rgb("noisy", "")?;
     }
-    let wanted = ["R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "Nscreen.X", "Nscreen.Y", "Z"];
-    let missing: Vec<_> = wanted.into_iter().filter(|name| !image.channels.contains_key(*name)).collect();
+    let guides = inputs.planes()[1..].iter().flat_map(|(_, channels)| *channels).filter(|c| !c.starts_with("albedo."));
+    let wanted = ["R", "G", "B", "albedo.R", "albedo.G", "albedo.B"].into_iter().chain(guides);
+    let missing: Vec<_> = wanted.filter(|name| !image.channels.contains_key(*name)).collect();
     if !missing.is_empty() {
         return Err(Error::input(format!(
             "{}: it has no {}; give an EXR that `limpid render` wrote",

@@ -6,6 +6,7 @@ use super::reconstruct::Reconstruction;
 use super::render::Args;
 use super::report;
 use super::stop::{Signal, Stop};
+use limpid::denoise::{Axes, Guides};
 use limpid::gpu::Gpu;
 use limpid::image::{Image, exr, file};
 use limpid::render::{Features, Renderer, Settings};
@@ -199,7 +200,8 @@ impl<'a> Work<'a> {
         let mut progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
         let pixels = image.pixel_count() as f64;
         let outputs = renderer.outputs()?;
-        let resident = Some([&outputs.radiance, &outputs.screen]);
+        let guides = Guides::of(&outputs, network.inputs(), Axes::default());
+        let resident = Some((&outputs.radiance, &guides));
         match network.run(&self.gpu, resident, image, |done| progress.update(done, pixels, "pixels"))? {
             Some(timings) => self.totals.reconstruct_device_ms += timings.device_ms,
             None => self.totals.skipped.push("the reconstruction: no pixel is noisy".into()),

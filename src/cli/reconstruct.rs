@@ -1,6 +1,8 @@
 //! The network, ready to reconstruct pictures.
 
-use limpid::denoise::{Choice, Demand, Denoiser, Kernels, Plane, Task, TiledDenoiser, check_weights, embedded_weights};
+use limpid::denoise::{
+    Choice, Demand, Denoiser, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, embedded_weights,
+};
 use limpid::gpu::{Gpu, Slice, Timings};
 use limpid::image::{Image, Rgb};
 use limpid::net::weights::Weights;
@@ -13,6 +15,7 @@ use std::path::Path;
 pub struct Reconstruction {
     name: String,
     weights: Weights,
+    inputs: Inputs,
     sha256: String,
     demand: Demand,
     choice: Option<(Kernels, Choice)>,
@@ -31,9 +34,14 @@ impl Reconstruction {
     pub fn load(file: Option<&Path>, demand: Demand) -> Result<Self> {
         let name = file.map_or_else(|| "embedded".to_owned(), |file| file.display().to_string());
         let weights = file.map_or_else(embedded_weights, Weights::load)?;
-        check_weights(&weights, &name)?;
+        let inputs = Preparation::of_weights(&weights, &name)?.inputs;
         let sha256 = Sha256::digest(weights.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { name, weights, sha256, demand, choice: None, made: None })
+        Ok(Self { name, weights, inputs, sha256, demand, choice: None, made: None })
+    }
+
+    /// What the network reads of a frame.
+    pub fn inputs(&self) -> Inputs {
+        self.inputs
     }
 
     /// The SHA-256 of the weights as limpid writes them to a file.
@@ -64,19 +72,20 @@ impl Reconstruction {
     /// Decides how pictures of this size are cut, without allocating anything; an error where nothing fits.
     pub fn choose(&mut self, gpu: &Gpu, size: (u32, u32), resident: bool) -> Result<Choice> {
         let kernels = Kernels::best(gpu.info());
-        let task = Task { info: gpu.info(), architecture: &self.weights.architecture, kernels, size, resident };
+        let (info, architecture) = (gpu.info(), &self.weights.architecture);
+        let task = Task { info, architecture, inputs: self.inputs, kernels, size, resident };
         let choice = task.choose(&self.demand)?;
         self.choice = Some((kernels, choice));
         Ok(choice)
     }
 
-    /// Moves the channels `R,G,B` to `noisy` and puts their reconstruction in their place. `resident` are radiance and screen
-    /// values of the same picture where the device holds them. Nothing runs where nothing is noisy: then the result has no
+    /// Moves the channels `R,G,B` to `noisy` and puts their reconstruction in their place. `resident` are radiance and the
+    /// guides for [`Self::inputs`] of the same picture where the device holds them. Nothing runs where nothing is noisy: then the result has no
     /// times. `progress` is told the share of the work that is done.
     pub fn run(
         &mut self,
         gpu: &Gpu,
-        resident: Option<[&Slice; 2]>,
+        resident: Option<(&Slice, &Guides)>,
         image: &mut Image,
         progress: impl FnMut(f64),
     ) -> Result<Option<Timings>> {
@@ -90,15 +99,14 @@ impl Reconstruction {
             image.set_rgb("", noisy);
             return Ok(None);
         }
+        let inputs = self.inputs;
         let choice = self.choose(gpu, (image.width, image.height), resident.is_some())?;
         let (planes, timings) = match (self.make(gpu, choice, resident.is_some())?, resident) {
-            (Made::Whole(denoiser), Some([radiance, screen])) => denoiser.run(radiance, screen)?,
+            (Made::Whole(denoiser), Some((radiance, guides))) => denoiser.run(radiance, guides)?,
             (Made::Tiled(denoiser), _) => {
-                let [r, g, b] = image.rgb("noisy")?;
-                let (x, y, z) = (image.channel("Nscreen.X")?, image.channel("Nscreen.Y")?, image.channel("Z")?);
-                let radiance: Plane = &|i| [r[i], g[i], b[i], f32::from(u8::from(exact(i)))];
-                let screen: Plane = &|i| [x[i], y[i], z[i], 0.0];
-                denoiser.run(&[radiance, screen], progress)?
+                let planes = planes(image, inputs, &exact)?;
+                let planes: Vec<Plane> = planes.iter().map(|plane| &**plane as Plane).collect();
+                denoiser.run(&planes, progress)?
             }
             (Made::Whole(_), None) => unreachable!("made for frames on the device"),
         };
@@ -133,6 +141,21 @@ impl Reconstruction {
     pub fn release(&mut self) {
         self.made = None;
     }
+}
+
+/// A plane that owns what it reads.
+type OwnedPlane<'a> = Box<dyn Fn(usize) -> [f32; 4] + 'a>;
+
+/// The planes of `inputs`, their radiance from the noisy channels.
+fn planes<'a>(image: &'a Image, inputs: Inputs, exact: &'a dyn Fn(usize) -> bool) -> Result<Vec<OwnedPlane<'a>>> {
+    let [r, g, b] = image.rgb("noisy")?;
+    let radiance = move |i: usize| [r[i], g[i], b[i], f32::from(u8::from(exact(i)))];
+    let mut planes: Vec<OwnedPlane<'a>> = vec![Box::new(radiance)];
+    for (_, [x, y, z]) in &inputs.planes()[1..] {
+        let (x, y, z) = (image.channel(x)?, image.channel(y)?, image.channel(z)?);
+        planes.push(Box::new(move |i| [x[i], y[i], z[i], 0.0]));
+    }
+    Ok(planes)
 }
 
 /// Whether a pixel's radiance is exact: its first hit reflects nothing.

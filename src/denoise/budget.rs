@@ -2,6 +2,7 @@
 
 use super::Denoiser;
 use super::network::Kernels;
+use super::preparation::Inputs;
 use super::tiled::TiledDenoiser;
 use super::tiles::Tiling;
 use crate::gpu::{DeviceInfo, Footprint};
@@ -26,6 +27,8 @@ pub struct Task<'a> {
     pub info: &'a DeviceInfo,
     /// The network.
     pub architecture: &'a Architecture,
+    /// What it reads.
+    pub inputs: Inputs,
     /// Its kernels.
     pub kernels: Kernels,
     /// Width and height of the frame, pixels.
@@ -50,7 +53,7 @@ impl Task<'_> {
         if self.resident && tiling.count() == 1 {
             Denoiser::footprint(self.architecture, self.kernels, self.size)
         } else {
-            TiledDenoiser::footprint(self.architecture, self.kernels, tiling)
+            TiledDenoiser::footprint(self.architecture, self.inputs, self.kernels, tiling)
         }
     }
 

@@ -3,20 +3,24 @@
 mod budget;
 mod frame;
 mod network;
+mod preparation;
 mod tiled;
 mod tiles;
 
 pub use budget::{Choice, Demand, Task, check_core};
-pub use frame::{BIN, BinsPush, Crop, FrameStats, INPUTS, InputPush, JoinPush, TRANSFER, check_weights, record_input};
+pub use frame::{
+    AlbedoNormalPush, Axes, BIN, BinsPush, Crop, Frame, FrameStats, Guides, InputPush, JoinPush, record_input,
+};
 pub use network::{Kernels, OutputPush};
-pub use tiled::{PLANES, Plane, TiledDenoiser};
+pub use preparation::{Inputs, Preparation, Transfer};
+pub use tiled::{Plane, TiledDenoiser};
 pub use tiles::{Rect, Tile, Tiling};
 
-use crate::Result;
 use crate::gpu::{Commands, Footprint, Gpu, Slice, Timings};
 use crate::net::architecture::Architecture;
 use crate::net::kernel::Family;
 use crate::net::weights::Weights;
+use crate::{Error, Result};
 use network::Network;
 
 /// The weights that are part of the program.
@@ -49,7 +53,8 @@ impl Denoiser {
         Network::footprint(architecture, kernels, size, padded(architecture, size), pixels(size))
     }
 
-    /// Tensors for frames of `width` x `height` pixels, the fastest kernels.
+    /// Tensors for frames of `width` x `height` pixels, the fastest kernels. The metadata of `weights` say what their network
+    /// reads.
     pub fn new(gpu: &Gpu, weights: &Weights, width: u32, height: u32) -> Result<Self> {
         Self::with_kernels(gpu, weights, Kernels::best(gpu.info()), (width, height))
     }
@@ -66,23 +71,33 @@ impl Denoiser {
         self.network.kernels.family
     }
 
-    /// Records the reconstruction of a frame: `radiance` (rgb, exact) and `screen` (normal x, y, depth, hit), four floats
-    /// a pixel, as [`crate::render::Outputs`] has them.
-    pub fn record(&self, radiance: &Slice, screen: &Slice) -> Result<Commands> {
+    /// What is done to a frame before and after the network.
+    #[must_use]
+    pub fn preparation(&self) -> Preparation {
+        self.network.preparation
+    }
+
+    /// Records the reconstruction of a frame: `radiance` (rgb, exact), four floats a pixel, as [`crate::render::Outputs`] has
+    /// it, and the guides that the weights ask for.
+    pub fn record(&self, radiance: &Slice, guides: &Guides) -> Result<Commands> {
+        let inputs = self.preparation().inputs;
+        if guides.inputs() != inputs {
+            let (given, wanted) = (guides.inputs().name(), inputs.name());
+            return Err(Error::input(format!("the weights read {wanted}, but are given {given}")));
+        }
         let network = &self.network;
         let mut rec = network.gpu.recorder();
-        let planes = [radiance.clone(), screen.clone()];
-        network.record_strip(&mut rec, &planes, 0..network.frame_stats.bin_rows())?;
+        network.record_strip(&mut rec, (radiance, guides), 0..network.frame_stats.bin_rows())?;
         network.frame_stats.record_join(&mut rec, &network.stats)?;
-        network.record_input(&mut rec, &planes, self.size)?;
+        network.record_input(&mut rec, (radiance, guides), self.size)?;
         network.plan.record(&mut rec, &network.parameters)?;
-        network.record_output(&mut rec, &planes, self.size)?;
+        network.record_output(&mut rec, radiance, self.size)?;
         rec.finish()
     }
 
     /// Reconstructs a frame; the planes r, g, b and the times.
-    pub fn run(&self, radiance: &Slice, screen: &Slice) -> Result<([Vec<f32>; 3], Timings)> {
-        let timings = self.record(radiance, screen)?.run()?;
+    pub fn run(&self, radiance: &Slice, guides: &Guides) -> Result<([Vec<f32>; 3], Timings)> {
+        let timings = self.record(radiance, guides)?.run()?;
         let pixels = self.network.download(pixels(self.size))?;
         Ok((std::array::from_fn(|c| pixels.iter().map(|p| p[c]).collect()), timings))
     }

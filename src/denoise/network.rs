@@ -1,6 +1,7 @@
 //! A network with its parameters and tensors, and what goes before and after it.
 
-use super::frame::{Crop, FrameStats, record_input};
+use super::frame::{Crop, Frame, FrameStats, Guides, record_input};
+use super::preparation::Preparation;
 use crate::gpu::{Buffer, DeviceInfo, Footprint, Gpu, Recorder, Slice};
 use crate::net::architecture::Architecture;
 use crate::net::device::{groups, windows};
@@ -43,16 +44,11 @@ impl Kernels {
     }
 }
 
-/// The planes by name.
-fn both(planes: &[Slice]) -> [&Slice; 2] {
-    let [radiance, screen] = planes else { panic!("{} planes where the network reads two", planes.len()) };
-    [radiance, screen]
-}
-
 /// Everything but the frame itself.
 pub(super) struct Network {
     pub gpu: Gpu,
     pub kernels: Kernels,
+    pub preparation: Preparation,
     pub parameters: Parameters,
     pub plan: Plan,
     pub frame_stats: FrameStats,
@@ -91,41 +87,53 @@ impl Network {
         result_pixels: u64,
     ) -> Result<Self> {
         let Kernels { family, fusion } = kernels;
+        let preparation = Preparation::of_weights(weights, "weights")?;
         let size = (1, input.1, input.0);
         Ok(Self {
             gpu: gpu.clone(),
             kernels,
+            preparation,
             parameters: Parameters::new(gpu, family, weights, false)?,
             plan: Plan::new(gpu, &weights.architecture, family, size, Memory::Shared, fusion)?,
-            frame_stats: FrameStats::new(gpu, frame.0, frame.1)?,
+            frame_stats: FrameStats::new(gpu, preparation.transfer, frame.0, frame.1)?,
             stats: gpu.buffer("frame stats", PIXEL_BYTES)?.slice(0, PIXEL_BYTES),
             result: gpu.buffer("reconstruction", result_pixels * PIXEL_BYTES)?,
         })
     }
 
-    /// Records the part that some rows of bins have in exposure and depth scale; `planes` hold the rows of these.
-    pub fn record_strip(&self, rec: &mut Recorder, planes: &[Slice], bin_rows: Range<u32>) -> Result<()> {
-        let [radiance, screen] = both(planes);
-        self.frame_stats.record_strip(rec, radiance, screen, bin_rows)
+    /// Records the part that some rows of bins have in exposure and depth scale; radiance and guides hold the rows of these.
+    pub fn record_strip(
+        &self,
+        rec: &mut Recorder,
+        (radiance, guides): (&Slice, &Guides),
+        bin_rows: Range<u32>,
+    ) -> Result<()> {
+        self.frame_stats.record_strip(rec, radiance, guides, bin_rows)
     }
 
     /// Records the input from planes of `size` pixels, at most as many as the input has; what lies past them is zero.
-    pub fn record_input(&self, rec: &mut Recorder, planes: &[Slice], size: (u32, u32)) -> Result<()> {
+    pub fn record_input(
+        &self,
+        rec: &mut Recorder,
+        (radiance, guides): (&Slice, &Guides),
+        size: (u32, u32),
+    ) -> Result<()> {
         let s = self.plan.input().shape;
         let crop = Crop { x: 0, y: 0, width: s.w, height: s.h, orientation: 0 };
-        let [radiance, screen] = both(planes);
-        record_input(&self.gpu, rec, [radiance, screen, &self.stats], size, crop, &self.plan.input().slice)
+        let frame = Frame { radiance, guides, stats: &self.stats, size };
+        record_input(&self.gpu, rec, self.preparation.transfer, &frame, crop, &self.plan.input().slice)
     }
 
     /// Records the result for the same pixels.
-    pub fn record_output(&self, rec: &mut Recorder, planes: &[Slice], (width, height): (u32, u32)) -> Result<()> {
-        let kernel = self.gpu.kernel::<shaders::network_output::Shader>(&Default::default())?;
+    pub fn record_output(&self, rec: &mut Recorder, radiance: &Slice, (width, height): (u32, u32)) -> Result<()> {
+        let spec = shaders::network_output::Spec { transfer: self.preparation.transfer.id() };
+        let kernel = self.gpu.kernel::<shaders::network_output::Shader>(&spec)?;
         let padded_width = self.plan.output().shape.w;
         for (begin, count) in windows(self.gpu.info(), u64::from(width) * u64::from(height)) {
             let push = OutputPush { begin: begin as u32, count: count as u32, width, padded_width };
             let bind = shaders::network_output::Bind {
                 network: self.plan.output().slice.clone(),
-                radiance: planes[0].clone(),
+                radiance: radiance.clone(),
                 stats: self.stats.clone(),
                 y: self.result.slice(begin * PIXEL_BYTES, count * PIXEL_BYTES),
             };

@@ -1,7 +1,8 @@
 //! Reconstruction of frames in host memory, tile by tile: the device never holds more of a frame than a tile.
 
-use super::frame::BIN;
+use super::frame::{BIN, Guides};
 use super::network::{Kernels, Network, PIXEL_BYTES};
+use super::preparation::Inputs;
 use super::tiles::{Rect, Tile, Tiling};
 use crate::Result;
 use crate::gpu::{Buffer, Commands, Footprint, Gpu, Recorder, Slice, Timings};
@@ -11,16 +12,13 @@ use crate::net::weights::Weights;
 /// A plane of a frame in host memory: its pixel `i`, row by row from the top.
 pub type Plane<'a> = &'a dyn Fn(usize) -> [f32; 4];
 
-/// The planes that a frame is made of, as [`crate::render::Outputs`] has them.
-pub const PLANES: &[&str] = &["radiance", "screen"];
-
 /// A network made ready for frames of one size, cut into tiles of one size.
 pub struct TiledDenoiser {
     network: Network,
     /// The network alone.
     forward: Commands,
     tiling: Tiling,
-    /// A window of each of [`PLANES`].
+    /// A window of each of [`Inputs::planes`].
     planes: Vec<Buffer>,
 }
 
@@ -44,9 +42,9 @@ fn add(sum: &mut Timings, part: &Timings) {
 impl TiledDenoiser {
     /// The memory that [`Self::new`] will take; nothing more is allocated later.
     #[must_use]
-    pub fn footprint(architecture: &Architecture, kernels: Kernels, tiling: &Tiling) -> Footprint {
+    pub fn footprint(architecture: &Architecture, inputs: Inputs, kernels: Kernels, tiling: &Tiling) -> Footprint {
         let network = Network::footprint(architecture, kernels, tiling.size(), tiling.window(), window_pixels(tiling));
-        let planes = PLANES.iter().map(|_| Footprint::buffer(plane_pixels(tiling) * PIXEL_BYTES));
+        let planes = inputs.planes().iter().map(|_| Footprint::buffer(plane_pixels(tiling) * PIXEL_BYTES));
         std::iter::once(network).chain(planes).sum()
     }
 
@@ -55,8 +53,8 @@ impl TiledDenoiser {
         let network = Network::new(gpu, weights, kernels, tiling.size(), tiling.window(), window_pixels(&tiling))?;
         let mut rec = gpu.recorder();
         network.plan.record(&mut rec, &network.parameters)?;
-        let plane = |name: &&str| gpu.buffer(name, plane_pixels(&tiling) * PIXEL_BYTES);
-        let planes = PLANES.iter().map(plane).collect::<Result<_>>()?;
+        let plane = |(name, _): &(&str, _)| gpu.buffer(name, plane_pixels(&tiling) * PIXEL_BYTES);
+        let planes = network.preparation.inputs.planes().iter().map(plane).collect::<Result<_>>()?;
         Ok(Self { network, forward: rec.finish()?, tiling, planes })
     }
 
@@ -66,7 +64,7 @@ impl TiledDenoiser {
         self.network.kernels
     }
 
-    /// Reconstructs a frame, given as its [`PLANES`]: the planes r, g, b and the times. `progress` is told the share of the
+    /// Reconstructs a frame, given as its [`Inputs::planes`]: the planes r, g, b and the times. `progress` is told the share of the
     /// tiles that are done.
     ///
     /// # Panics
@@ -100,8 +98,8 @@ impl TiledDenoiser {
             let rows = stats.rows(&bin_rows);
             let strip = Rect { x: 0, y: rows.start, width, height: rows.end - rows.start };
             self.upload(frame, strip)?;
-            let planes = self.loaded(strip);
-            add(&mut timings, &self.now(|rec| self.network.record_strip(rec, &planes, bin_rows))?);
+            let (radiance, guides) = self.loaded(strip);
+            add(&mut timings, &self.now(|rec| self.network.record_strip(rec, (&radiance, &guides), bin_rows))?);
         }
         add(&mut timings, &self.now(|rec| self.network.frame_stats.record_join(rec, &self.network.stats))?);
         Ok(timings)
@@ -124,10 +122,10 @@ impl TiledDenoiser {
     fn compute(&mut self, tile: &Tile, result: &mut [Vec<f32>; 3]) -> Result<Timings> {
         let frame = self.tiling.size();
         let (window, core) = (tile.window.within(frame), tile.core.within(frame));
-        let (planes, size) = (self.loaded(window), (window.width, window.height));
-        let mut timings = self.now(|rec| self.network.record_input(rec, &planes, size))?;
+        let ((radiance, guides), size) = (self.loaded(window), (window.width, window.height));
+        let mut timings = self.now(|rec| self.network.record_input(rec, (&radiance, &guides), size))?;
         add(&mut timings, &self.forward.run()?);
-        add(&mut timings, &self.now(|rec| self.network.record_output(rec, &planes, size))?);
+        add(&mut timings, &self.now(|rec| self.network.record_output(rec, &radiance, size))?);
         let pixels = self.network.download(window.pixels())?;
         for y in core.y..core.y + core.height {
             let from = ((y - window.y) * window.width + core.x - window.x) as usize;
@@ -141,7 +139,7 @@ impl TiledDenoiser {
     }
 
     fn upload(&self, frame: &[Plane], part: Rect) -> Result<()> {
-        assert_eq!(frame.len(), self.planes.len(), "the frame's planes are {PLANES:?}");
+        assert_eq!(frame.len(), self.planes.len(), "planes of {:?}", self.network.preparation.inputs);
         let width = self.tiling.size().0 as usize;
         let columns = part.x as usize..(part.x + part.width) as usize;
         for (plane, buffer) in frame.iter().zip(&self.planes) {
@@ -152,8 +150,10 @@ impl TiledDenoiser {
         Ok(())
     }
 
-    fn loaded(&self, part: Rect) -> Vec<Slice> {
-        self.planes.iter().map(|buffer| buffer.slice(0, part.pixels() * PIXEL_BYTES)).collect()
+    fn loaded(&self, part: Rect) -> (Slice, Guides) {
+        let slice = |buffer: &Buffer| buffer.slice(0, part.pixels() * PIXEL_BYTES);
+        let guides: Vec<Slice> = self.planes[1..].iter().map(slice).collect();
+        (slice(&self.planes[0]), Guides::of_planes(self.network.preparation.inputs, &guides))
     }
 
     fn now(&self, record: impl FnOnce(&mut Recorder) -> Result<()>) -> Result<Timings> {

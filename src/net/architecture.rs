@@ -1,5 +1,6 @@
 //! Architectures: short lists of named nodes, and what follows from a list (shapes, cost, receptive field).
 
+use super::base::Widths;
 use crate::{Error, Result};
 use std::ops::Range;
 
@@ -79,7 +80,7 @@ pub struct Architecture {
 pub type Row<'a> = (&'a str, Op, &'a [&'a str]);
 
 /// The names that [`Architecture::named`] knows.
-pub const NAMES: &[&str] = &["seed"];
+pub const NAMES: &[&str] = &["seed", "base"];
 
 /// The U-Net of Chaitanya et al. 2017 without its recurrent blocks, with 6 inputs: radiance r, g, b, screen-space normal x,
 /// y, depth. A skip is the value of the last convolution before a pooling; it comes second in the concatenation, after
@@ -132,10 +133,12 @@ impl Architecture {
         Self::from_rows("seed", SEED).expect("the list is right: a test builds it")
     }
 
-    /// The architecture of that name, one of [`NAMES`].
+    /// The architecture of that name, one of [`NAMES`]; `base` may be followed by a colon and its widths.
     pub fn named(name: &str) -> Result<Self> {
-        match name {
-            "seed" => Ok(Self::seed()),
+        match name.split_once(':') {
+            None if name == "seed" => Ok(Self::seed()),
+            None if name == "base" => Self::base(&Widths::default()),
+            Some(("base", widths)) => Self::base(&widths.parse()?),
             _ => Err(Error::input(format!("unknown architecture `{name}`: limpid knows {}", NAMES.join(", ")))),
         }
     }
