@@ -12,6 +12,7 @@ pub mod net;
 pub mod render;
 pub mod scene;
 pub mod shaders;
+pub mod shared_constants;
 pub mod train;
 
 pub use error::{Error, Result};

@@ -4,9 +4,9 @@
 mod common;
 
 use common::compare::{close, l2_close, require, same_bits, within};
-use common::gpu;
 use common::networks::linear;
-use limpid::denoise::{Crop, Denoiser, FrameStats, INPUTS, TRANSFER, check_weights, record_input};
+use common::{by_pixel, gpu};
+use limpid::denoise::{self, Crop, Denoiser, FrameStats, Guides, Inputs, Preparation, Transfer, record_input};
 use limpid::gpu::{Gpu, Slice, hazard};
 use limpid::net::architecture::{Architecture, Op, Row};
 use limpid::net::device::groups;
@@ -20,6 +20,9 @@ push_block! {
     /// Push constants of `transfer_probe.comp`.
     pub struct ProbePush for shaders::transfer_probe { count: u32, exposure: f32 }
 }
+
+/// What `seed` is trained with.
+const PREPARATION: Preparation = Preparation { inputs: Inputs::NormalScreenDepth, transfer: Transfer::Log1p };
 
 /// Where the exposure puts the geometric mean of a frame's luminance. Weights are trained with it.
 const KEY: f64 = 0.5;
@@ -198,10 +201,12 @@ fn input_on_device(gpu: &Gpu, frame: &Frame, crop: Crop, stats: (f32, f32)) -> V
     let out = gpu.buffer("input", bytes).unwrap().slice(0, bytes);
     gpu.upload(&out, &vec![f32::NAN; bytes as usize / 4]).unwrap();
     let stats = stats_on_device(gpu, stats);
+    let guides = Guides::NormalScreenDepth { screen };
+    let frame = denoise::Frame { radiance: &radiance, guides: &guides, stats: &stats, size: frame.size() };
     let mut rec = gpu.recorder();
-    record_input(gpu, &mut rec, [&radiance, &screen, &stats], frame.size(), crop, &out).unwrap();
+    record_input(gpu, &mut rec, Transfer::Log1p, &frame, crop, &out).unwrap();
     rec.finish().unwrap().run().unwrap();
-    gpu.download(&out).unwrap()
+    by_pixel(&gpu.download::<f32>(&out).unwrap(), crop.width as usize, 2)
 }
 
 #[test]
@@ -242,9 +247,9 @@ fn exposure_and_depth_of_a_frame() {
             let frame = if damaged { frame.damaged() } else { frame };
             let [radiance, screen] = frame.upload(&gpu);
             let out = gpu.buffer("stats", 16).unwrap().slice(0, 16);
-            let stats = FrameStats::new(&gpu, width as u32, height as u32).unwrap();
+            let stats = FrameStats::new(&gpu, Transfer::Log1p, width as u32, height as u32).unwrap();
             let mut rec = gpu.recorder();
-            stats.record(&mut rec, &radiance, &screen, &out).unwrap();
+            stats.record(&mut rec, &radiance, &Guides::NormalScreenDepth { screen }, &out).unwrap();
             let mut commands = rec.finish().unwrap();
             hazard::check(commands.events()).unwrap();
             commands.run().unwrap();
@@ -274,8 +279,9 @@ fn frames_without_light_or_depth_have_neutral_stats() {
         frame.radiance.fill([radiance, radiance, radiance, 0.0]);
         let [radiance, screen] = frame.upload(&gpu);
         let out = gpu.buffer("stats", 16).unwrap().slice(0, 16);
-        let mut rec = gpu.recorder();
-        FrameStats::new(&gpu, 20, 20).unwrap().record(&mut rec, &radiance, &screen, &out).unwrap();
+        let (mut rec, guides) = (gpu.recorder(), Guides::NormalScreenDepth { screen });
+        let stats = FrameStats::new(&gpu, Transfer::Log1p, 20, 20).unwrap();
+        stats.record(&mut rec, &radiance, &guides, &out).unwrap();
         rec.finish().unwrap().run().unwrap();
         assert_eq!(gpu.download::<f32>(&out).unwrap(), [1.0, 1.0, 0.0, 0.0]);
     }
@@ -329,15 +335,19 @@ fn the_input_of_a_frame_larger_than_a_storage_binding() {
     let stats = stats_on_device(&gpu, (0.37, 0.21));
     let crop = Crop { x: 0, y: 0, width: width as u32, height: height as u32, orientation: 0 };
     let mut rec = gpu.recorder();
-    let frame = [&radiance, &screen, &stats];
-    record_input(&gpu, &mut rec, frame, (crop.width, crop.height), crop, &out.all()).unwrap();
+    let guides = Guides::NormalScreenDepth { screen };
+    let size = (crop.width, crop.height);
+    let frame = denoise::Frame { radiance: &radiance, guides: &guides, stats: &stats, size };
+    record_input(&gpu, &mut rec, Transfer::Log1p, &frame, crop, &out.all()).unwrap();
     rec.finish().unwrap().run().unwrap();
     let actual: Vec<f32> = gpu.download(&out.slice(width * (height - 2) * 32, width * 64)).unwrap();
+    let actual = by_pixel(&actual, width as usize, 2);
     let (expected, bound) = expected_input(&last, Crop { height: 2, ..crop }, (0.37f32.into(), 0.21f32.into()));
     require("the last rows", within(&actual, &expected, &bound));
-    let first: Vec<f32> = gpu.download(&out.slice(0, 256)).unwrap();
+    let first: Vec<f32> = gpu.download(&out.slice(0, width * 32)).unwrap();
+    let first = by_pixel(&first, width as usize, 2);
     // No radiance, no normal, no depth: a miss.
-    assert!(first.chunks(8).all(|p| p == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]), "{first:?}");
+    assert!(first.chunks(8).all(|p| p == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]), "{:?}", &first[..64]);
 }
 
 /// Input and target are one picture: the target of what the input shows is the input's color, however it is turned.
@@ -398,6 +408,12 @@ fn normals_turn_with_the_picture() {
     }
 }
 
+/// The weights with the metadata that training gives them.
+fn prepared(mut weights: Weights) -> Weights {
+    weights.metadata.extend(PREPARATION.metadata());
+    weights
+}
+
 /// A network of `seed`'s grid that gives back r, g and b.
 fn identity() -> Weights {
     const NAMES: [[&str; 2]; 5] = [["p1", "u1"], ["p2", "u2"], ["p3", "u3"], ["p4", "u4"], ["p5", "u5"]];
@@ -410,7 +426,7 @@ fn identity() -> Weights {
     rows.push(("out", linear(12, 3), &["concat"]));
     let architecture = Architecture::from_rows("identity", &rows).unwrap();
     assert_eq!(architecture.alignment(), 32);
-    let mut weights = Weights::glorot(&architecture, 0);
+    let mut weights = prepared(Weights::glorot(&architecture, 0));
     weights.parameters.fill(0.0);
     for c in 0..3 {
         weights.parameters[(c * 12 + 6 + c) * 9 + 4] = 1.0;
@@ -422,8 +438,9 @@ fn reconstruct(gpu: &Gpu, weights: &Weights, frame: &Frame) -> [Vec<f32>; 3] {
     let (width, height) = frame.size();
     let denoiser = Denoiser::new(gpu, weights, width, height).unwrap();
     let [radiance, screen] = frame.upload(gpu);
-    hazard::check(denoiser.record(&radiance, &screen).unwrap().events()).unwrap();
-    let (planes, _) = denoiser.run(&radiance, &screen).unwrap();
+    let guides = Guides::NormalScreenDepth { screen };
+    hazard::check(denoiser.record(&radiance, &guides).unwrap().events()).unwrap();
+    let (planes, _) = denoiser.run(&radiance, &guides).unwrap();
     assert!(planes.iter().all(|p| p.len() == frame.radiance.len()));
     planes
 }
@@ -456,7 +473,7 @@ fn an_identity_reconstructs_the_frame() {
 /// does: 1e-5 for the network and as much for each transfer.
 #[test]
 fn the_whole_way_matches_the_reference() {
-    let (gpu, weights) = (gpu(), Weights::glorot(&Architecture::seed(), 3));
+    let (gpu, weights) = (gpu(), prepared(Weights::glorot(&Architecture::seed(), 3)));
     let frame = Frame::random(33, 47);
     let stats = frame.stats();
     let crop = Crop { x: 0, y: 0, width: 64, height: 64, orientation: 0 };
@@ -478,7 +495,7 @@ fn the_whole_way_matches_the_reference() {
 
 #[test]
 fn exact_pixels_keep_their_bits() {
-    let (gpu, weights) = (gpu(), Weights::glorot(&Architecture::seed(), 3));
+    let (gpu, weights) = (gpu(), prepared(Weights::glorot(&Architecture::seed(), 3)));
     for (width, height) in SIZES {
         let mut frame = Frame::random(width, height);
         for pixel in frame.radiance.iter_mut().step_by(5) {
@@ -509,7 +526,7 @@ fn extreme_frames_stay_finite() {
         assert!(bad.is_none(), "{what}: {bad:?}");
         planes
     };
-    let (identity, seed) = (identity(), Weights::glorot(&Architecture::seed(), 3));
+    let (identity, seed) = (identity(), prepared(Weights::glorot(&Architecture::seed(), 3)));
     for radiance in [0.0, 1e-30, 1e-9, 1e-3, 1.0, 6e4, 1e20, 1e30, f32::MAX] {
         let frame = Frame::constant(33, 17, radiance);
         finite(&format!("seed, {radiance:e}"), &seed, &frame);
@@ -536,7 +553,7 @@ fn extreme_frames_stay_finite() {
 
 #[test]
 fn a_frame_gives_equal_bits_every_time() {
-    let (gpu, weights) = (gpu(), Weights::glorot(&Architecture::seed(), 3));
+    let (gpu, weights) = (gpu(), prepared(Weights::glorot(&Architecture::seed(), 3)));
     let frame = Frame::random(33, 47);
     let first = reconstruct(&gpu, &weights, &frame).concat();
     // The second runs in memory that the first left.
@@ -545,22 +562,24 @@ fn a_frame_gives_equal_bits_every_time() {
 
 #[test]
 fn weights_for_other_inputs_or_transfers_are_refused() {
-    let mut weights = Weights::glorot(&Architecture::seed(), 0);
-    for (key, value) in [INPUTS, TRANSFER] {
-        weights.metadata.insert(key.into(), value.into());
-    }
-    check_weights(&weights, "w.safetensors").unwrap();
-    for (key, value) in [INPUTS, TRANSFER] {
-        for wrong in [Some("something else"), Some(""), None] {
-            let mut weights = weights.clone();
-            match wrong {
-                Some(wrong) => weights.metadata.insert(key.into(), wrong.into()),
-                None => weights.metadata.remove(key),
-            };
-            let message = check_weights(&weights, "w.safetensors").unwrap_err().to_string();
-            for part in ["w.safetensors", key, value, wrong.unwrap_or("none")] {
-                assert!(message.contains(part), "{message}");
-            }
+    let gpu = gpu();
+    let weights = prepared(Weights::glorot(&Architecture::seed(), 0));
+    assert_eq!(Preparation::of_weights(&weights, "w.safetensors").unwrap(), PREPARATION);
+    let refused = |key: &str, wrong: Option<&str>, parts: &[&str]| {
+        let mut weights = weights.clone();
+        match wrong {
+            Some(wrong) => weights.metadata.insert(key.into(), wrong.into()),
+            None => weights.metadata.remove(key),
+        };
+        let message = Preparation::of_weights(&weights, "w.safetensors").unwrap_err().to_string();
+        for part in parts.iter().copied().chain(["w.safetensors", key, wrong.unwrap_or("none")]) {
+            assert!(message.contains(part), "{message}");
         }
+        assert!(Denoiser::new(&gpu, &weights, 8, 8).is_err());
+    };
+    for wrong in [Some("something else"), Some(""), None] {
+        refused(Inputs::KEY, wrong, &Inputs::ALL.map(Inputs::name));
+        refused(Transfer::KEY, wrong, &Transfer::ALL.map(Transfer::name));
     }
+    refused(Inputs::KEY, Some(Inputs::AlbedoNormal.name()), &["9 channels", "`seed` reads 6"]);
 }

@@ -4,9 +4,10 @@
 mod common;
 
 use common::compare::{l2_close, require, same_bits};
-use common::networks::{cut, deep, forward, tiny, weights, wide};
+use common::networks::{cut, deep, forward, small_base, tiny, weights, wide};
 use common::{goldens, gpu};
 use limpid::net::architecture::Architecture;
+use limpid::net::base::Widths;
 use limpid::net::kernel::Family;
 use limpid::net::plan::{Fusion, Memory, Plan};
 use limpid::net::reference;
@@ -20,11 +21,14 @@ const PLANS: [(Memory, Fusion); 4] = [
     (Memory::Shared, Fusion::Activation),
 ];
 
-/// Plans that add in another order, for the families that have them.
-fn winograd(family: Family) -> &'static [(Memory, Fusion)] {
+/// Plans that add in other orders, for the families that have them: those of a group agree bit for bit.
+fn winograd(family: Family) -> &'static [&'static [(Memory, Fusion)]] {
     match family {
-        Family::Portable => &[],
-        Family::Cpu { .. } => &[(Memory::Kept, Fusion::Winograd), (Memory::Shared, Fusion::Winograd)],
+        Family::Cpu { .. } => &[
+            &[(Memory::Kept, Fusion::Winograd)],
+            &[(Memory::Kept, Fusion::InPlace), (Memory::Shared, Fusion::InPlace)],
+        ],
+        _ => &[],
     }
 }
 
@@ -33,7 +37,7 @@ fn input(architecture: &Architecture, [n, h, w]: [usize; 3], name: &str) -> Tens
 }
 
 /// Every family and plan against PyTorch's float64 output. The plain plans make the same sums in the same order, and where a
-/// value lies or which kernel applies the slope rounds nothing: they agree bit for bit. So do both Winograd plans.
+/// value lies or which kernel applies the slope rounds nothing: they agree bit for bit. So do the plans of a group of Winograd's.
 fn matches_pytorch(architecture: &Architecture, size: [usize; 3]) {
     let (gpu, goldens) = (gpu(), goldens::read("networks"));
     let case = goldens::network_case(architecture, size);
@@ -46,11 +50,13 @@ fn matches_pytorch(architecture: &Architecture, size: [usize; 3]) {
         for (plan, output) in PLANS.iter().zip(&outputs).skip(1) {
             require(&format!("{what}, {plan:?}"), same_bits(&output.data, &outputs[0].data));
         }
-        let fast: Vec<_> = winograd(family).iter().map(|plan| forward(&gpu, &weights, family, *plan, &input)).collect();
-        for output in &fast {
-            require(&format!("{what}, Winograd"), l2_close(&output.data, expected, 1e-5));
-            require(&format!("{what}, Winograd"), same_bits(&output.data, &fast[0].data));
-            assert_ne!(output.data, outputs[0].data, "{what}: another plan adds in another order");
+        for plans in winograd(family) {
+            let fast: Vec<_> = plans.iter().map(|plan| forward(&gpu, &weights, family, *plan, &input)).collect();
+            for output in &fast {
+                require(&format!("{what}, {plans:?}"), l2_close(&output.data, expected, 1e-5));
+                require(&format!("{what}, {plans:?}"), same_bits(&output.data, &fast[0].data));
+                assert_ne!(output.data, outputs[0].data, "{what}: another plan adds in another order");
+            }
         }
     }
 }
@@ -63,6 +69,33 @@ fn seed_matches_pytorch() {
 #[test]
 fn seed_matches_pytorch_on_a_batch_of_another_shape() {
     matches_pytorch(&Architecture::seed(), [2, 64, 32]);
+}
+
+#[test]
+fn base_matches_pytorch() {
+    matches_pytorch(&small_base(), [1, 32, 32]);
+}
+
+#[test]
+fn base_matches_pytorch_on_a_batch_of_another_shape() {
+    matches_pytorch(&small_base(), [2, 48, 16]);
+}
+
+/// The widths that limpid trains and those of Open Image Denoise, with every choice of kernels, against the f64 reference.
+#[test]
+fn base_of_full_width_matches_the_reference() {
+    let gpu = gpu();
+    for widths in [Widths::default(), Widths::open_image_denoise()] {
+        let base = Architecture::base(&widths).unwrap();
+        let (weights, input) = (weights(&base), input(&base, [1, 48, 32], "full width"));
+        let expected = reference::forward(&base, &weights.to_f64(), &input.to_f64()).pop().unwrap();
+        for family in Family::all(gpu.info()) {
+            for plan in PLANS.iter().chain(&winograd(family).concat()) {
+                let output = forward(&gpu, &weights, family, *plan, &input);
+                require(&format!("{}, {plan:?}", family.name()), l2_close(&output.data, &expected.data, 1e-5));
+            }
+        }
+    }
 }
 
 /// Channel counts, widths and heights that fill no texel, tile or workgroup.
@@ -142,7 +175,7 @@ fn tensors_larger_than_a_storage_binding() {
 /// Wide layers on the portable kernels alone would take minutes on a CPU driver; theirs are above.
 #[test]
 fn winograd_writes_tensors_larger_than_a_storage_binding() {
-    large_tensors(&deep(), |family| winograd(family).iter().copied().filter(|p| p.0 == Memory::Shared).collect());
+    large_tensors(&deep(), |family| winograd(family).concat().into_iter().filter(|p| p.0 == Memory::Shared).collect());
 }
 
 /// `seed` on a whole frame of 768x768, whose largest tensors are cut in three, against a tile of it that fits without a

@@ -7,6 +7,7 @@ mod goldens;
 
 use compare::{close, relative_l2, require, tensors_close};
 use limpid::net::architecture::{Architecture, Op, Row};
+use limpid::net::base::Widths;
 use limpid::net::layer::{Case, Kind, Pattern, cases};
 use limpid::net::reference::{backward, forward};
 use limpid::net::tensor::{Tensor, uniform};
@@ -114,6 +115,10 @@ fn networks_match_pytorch() {
     network_matches_pytorch(&Architecture::seed(), [1, 32, 32]);
     network_matches_pytorch(&Architecture::seed(), [2, 64, 32]);
     network_matches_pytorch(&tiny(), [3, 6, 4]);
+    // Their widths are those of `make_goldens.py`.
+    let base = Architecture::base(&Widths::from_array([16, 32, 16, 32, 48, 48, 32, 16, 48, 48, 16])).unwrap();
+    network_matches_pytorch(&base, [1, 32, 32]);
+    network_matches_pytorch(&base, [2, 48, 16]);
 }
 
 #[test]

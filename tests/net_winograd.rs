@@ -123,13 +123,13 @@ fn check(gpu: &Gpu, family: Family, case: &Case, parts: &[Tensor<f32>], upsample
     let operands: Vec<_> =
         tensors.iter().enumerate().map(|(i, x)| Operand { x, upsampled: upsampled && i == 0 }).collect();
     let (oihw, bias_device) = (floats("weight", &data.weight.data), floats("bias", &data.bias));
-    let transformed = gpu.buffer("transformed", winograd::weights_bytes(family, layer)).unwrap().all();
+    let transformed = gpu.buffer("transformed", winograd::weights_bytes(family, layer, false)).unwrap().all();
     let [n, c, h, w] = case.output_shape().map(|v| v as u32);
     let y = DeviceTensor::new(gpu, "y", Shape { n, h, w, c: Channels::new(c) }).unwrap();
     gpu.upload(&y.slice, &vec![f32::NAN; y.shape.bytes() as usize / 4]).unwrap();
-    let pass = Pass { layer, operands: &operands, weight: &transformed, bias: &bias_device, y: &y, slope: 1.0 };
+    let pass = Pass { operands: &operands, weight: &transformed, bias: &bias_device, y: &y, slope: 1.0 };
     let mut rec = gpu.recorder();
-    winograd::transform_weights(gpu, &mut rec, family, layer, &oihw, &transformed).unwrap();
+    winograd::transform_weights(gpu, &mut rec, family, layer, &oihw, &transformed, false).unwrap();
     winograd::record(gpu, &mut rec, family, &pass).unwrap();
     let mut commands = rec.finish().unwrap();
     hazard::check(commands.events()).unwrap();

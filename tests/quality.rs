@@ -3,7 +3,7 @@
 mod common;
 
 use common::gpu;
-use limpid::denoise::{Denoiser, check_weights, embedded_weights};
+use limpid::denoise::{Axes, Denoiser, Guides, embedded_weights};
 use limpid::metrics;
 use limpid::render::{Estimator, Renderer, Sampler, Settings};
 use limpid::scene::family;
@@ -14,7 +14,6 @@ use limpid::scene::family;
 fn embedded_weights_reconstruct_a_frame_that_training_never_saw() {
     let gpu = gpu();
     let weights = embedded_weights().unwrap();
-    check_weights(&weights, "embedded weights").unwrap();
     let mut scene = family::spheres(*family::HELD_OUT.start());
     let (w, h) = (192, 192);
     (scene.camera.width, scene.camera.height) = (w, h);
@@ -22,7 +21,9 @@ fn embedded_weights_reconstruct_a_frame_that_training_never_saw() {
     let mut noisy = Renderer::new(&gpu, &scene, &settings).unwrap();
     noisy.finish().unwrap();
     let outputs = noisy.outputs().unwrap();
-    let (planes, _) = Denoiser::new(&gpu, &weights, w, h).unwrap().run(&outputs.radiance, &outputs.screen).unwrap();
+    let denoiser = Denoiser::new(&gpu, &weights, w, h).unwrap();
+    let guides = Guides::of(&outputs, denoiser.preparation().inputs, Axes::default());
+    let (planes, _) = denoiser.run(&outputs.radiance, &guides).unwrap();
     let image = noisy.image().unwrap();
     let mut reference = Renderer::new(&gpu, &scene, &Settings { spp: 256, seed: 2, ..Settings::default() }).unwrap();
     reference.finish().unwrap();

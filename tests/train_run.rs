@@ -84,7 +84,7 @@ fn weights_say_how_they_were_made() {
     assert_eq!(weights.metadata[FIRST_LOSSES], bits.join(" "));
     let again: RunState = serde_json::from_str(&weights.metadata[RUN]).unwrap();
     assert_eq!((again.data, again.length), (run.state.data.clone(), run.state.length));
-    limpid::denoise::check_weights(&weights, "made by training").unwrap();
+    limpid::denoise::Preparation::of_weights(&weights, "made by training").unwrap();
 }
 
 #[test]

@@ -14,3 +14,11 @@ vec2 crop_normal(vec2 n, uint orientation) {
     if ((orientation & 4u) != 0u) n = -n.yx;
     return n;
 }
+
+// The world-space normal of that pixel: the component in the picture's plane turns as the screen-space normal does, as if the
+// scene had been mirrored before the same camera. `right` and `up` are the camera's, unit length.
+vec3 crop_normal_world(vec3 n, vec3 right, vec3 up, uint orientation) {
+    const vec2 screen = vec2(dot(n, right), dot(n, up));
+    const vec2 change = crop_normal(screen, orientation) - screen;
+    return n + change.x * right + change.y * up;
+}

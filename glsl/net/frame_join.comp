@@ -2,7 +2,9 @@
 // Joins up to 256 bins into one; the last round gives exposure and 1 / depth.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
+#include "lib/transfer.glsl"
 
+layout(constant_id = 0) const uint TRANSFER = TRANSFER_LOG1P;
 layout(local_size_x = 64) in;
 
 layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer bins;
@@ -12,8 +14,6 @@ layout(push_constant) uniform Push {
     uint count;  // bins read
     uint last;   // 1: write (exposure, 1 / largest depth, 0, 0)
 };
-
-const float KEY = 0.5;  // where the geometric mean of the luminance goes
 
 void main() {
     const uint index = flat_index();
@@ -27,7 +27,7 @@ void main() {
     if (last == 0u) {
         joined[index] = all;
     } else {
-        const float exposure = all.y > 0.0 ? KEY / exp2(all.x / all.y) : 1.0;
+        const float exposure = all.y > 0.0 ? transfer_key(TRANSFER) / exp2(all.x / all.y) : 1.0;
         joined[0] = vec4(exposure, all.z > 0.0 ? 1.0 / all.z : 1.0, 0.0, 0.0);
     }
 }

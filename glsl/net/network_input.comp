@@ -1,10 +1,11 @@
 #version 460
-// A crop of a frame as the network's input: r, g, b, normal x | normal y, depth, 0, 0. Zeros past the picture's end.
+// A crop of a frame as the input of a network: r, g, b, screen normal x | screen normal y, depth, 0, 0. Zeros past the picture's end.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
 #include "lib/transfer.glsl"
 #include "lib/crop.glsl"
 
+layout(constant_id = 0) const uint TRANSFER = TRANSFER_LOG1P;
 layout(local_size_x = 64) in;
 
 layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer radiance;  // [pixel]
@@ -36,7 +37,7 @@ void main() {
     }
     const vec4 frame = imageLoad(stats, 0);
     const vec4 s = imageLoad(screen, p.y * width + p.x);
-    const vec3 color = to_network(imageLoad(radiance, p.y * width + p.x).rgb, frame.x);
+    const vec3 color = to_network(TRANSFER, imageLoad(radiance, p.y * width + p.x).rgb, frame.x);
     vec2 n = crop_normal(s.xy, orientation);
     n = mix(vec2(0.0), clamp(n, -1.0, 1.0), greaterThanEqual(abs(n), vec2(0.0)));  // false for NaN
     const float depth = s.z > 0.0 && s.z < 1e30 ? min(s.z * frame.y, 1.0) : 1.0;

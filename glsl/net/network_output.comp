@@ -4,6 +4,7 @@
 #include "lib/index.glsl"
 #include "lib/transfer.glsl"
 
+layout(constant_id = 0) const uint TRANSFER = TRANSFER_LOG1P;
 layout(local_size_x = 64) in;
 
 layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer network;   // [padded h][padded w], 3 channels
@@ -24,5 +25,5 @@ void main() {
     const uint at = begin + index;
     const vec4 noisy = imageLoad(radiance, int(at));
     const vec3 t = imageLoad(network, int((at / width) * padded_width + at % width)).rgb;
-    y[index] = noisy.a > 0.5 ? noisy : vec4(from_network(t, imageLoad(stats, 0).x), 0.0);
+    y[index] = noisy.a > 0.5 ? noisy : vec4(from_network(TRANSFER, t, imageLoad(stats, 0).x), 0.0);
 }

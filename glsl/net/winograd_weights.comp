@@ -13,8 +13,10 @@ layout(push_constant) uniform Push {
     uint cin;
     uint cout;
     uint lanes;    // L
-    uint in4;      // texels a pixel of the operand
+    uint in4;      // texels a pixel of the operand read
+    uint blocks;   // of L output channels
     uint count;    // texels written
+    uint transposed;  // 1: for the input gradient, the operand read has the layer's output channels
     uint segment;  // of the layer's input, see channels.glsl
     uint segment_padded;
 };
@@ -34,19 +36,19 @@ void main() {
     if (index >= count) return;
     const uint lane = index % lanes;
     const uint c4 = (index / lanes) % in4;
-    const uint blocks = (cout + lanes - 1) / lanes;
     const uint out_channel = (index / (lanes * in4)) % blocks * lanes + lane;
     const uint position = index / (lanes * in4 * blocks);
     vec4 v = vec4(0.0);
     for (uint j = 0; j < 4; ++j) {
-        const uint c = input_channel(c4 * 4 + j, segment, segment_padded, cin);
-        if (out_channel >= cout || c == NONE) continue;
-        const int at = int((out_channel * cin + c) * 9);
+        const uint in_channel = c4 * 4 + j;
+        const uint o = transposed == 0 ? out_channel : in_channel;
+        const uint i = input_channel(transposed == 0 ? in_channel : out_channel, segment, segment_padded, cin);
+        if (o >= cout || i == NONE) continue;
+        const int at = int((o * cin + i) * 9);
+        float g[9];
+        for (int t = 0; t < 9; ++t) g[t] = imageLoad(weight, at + (transposed == 0 ? t : 8 - t)).x;
         float row[3];
-        for (int x = 0; x < 3; ++x) {
-            row[x] = transformed(position / 6, imageLoad(weight, at + x).x, imageLoad(weight, at + 3 + x).x,
-                imageLoad(weight, at + 6 + x).x);
-        }
+        for (int x = 0; x < 3; ++x) row[x] = transformed(position / 6, g[x], g[3 + x], g[6 + x]);
         v[j] = transformed(position % 6, row[0], row[1], row[2]);
     }
     u[index] = v;

@@ -3,6 +3,7 @@
 #extension GL_GOOGLE_include_directive : require
 #include "lib/transfer.glsl"
 
+layout(constant_id = 0) const uint TRANSFER = TRANSFER_LOG1P;
 layout(local_size_x = 64) in;
 
 layout(set = 0, binding = 0, std430) readonly buffer Radiance { float radiance[]; };
@@ -17,7 +18,7 @@ layout(push_constant) uniform Push {
 void main() {
     const uint i = gl_GlobalInvocationID.x;
     if (i >= count) return;
-    const vec3 t = to_network(vec3(radiance[i]), exposure);
+    const vec3 t = to_network(TRANSFER, vec3(radiance[i]), exposure);
     there[i] = t.y;
-    back[i] = from_network(t, exposure).y;
+    back[i] = from_network(TRANSFER, t, exposure).y;
 }

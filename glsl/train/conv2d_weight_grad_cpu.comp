@@ -1,6 +1,6 @@
 #version 460
 // Weight gradient of a 3x3 convolution, for CPU drivers: dw[co][ci][t] = sum over pixels of dy[co] * x[ci] at tap t.
-// Lanes are output channels; a subgroup holds 4 input channels x 9 taps and walks down strips of 12 pixels. x comes 16
+// Lanes are output channels; a subgroup holds 8 input channels x 9 taps and walks down strips of 12 pixels. x comes 16
 // pixels a row across the lanes and is broadcast by constant shuffles; dy comes transposed, 4 pixels a texel.
 // Each split sums its own strips; the partial sums are added in a fixed order afterwards.
 #extension GL_EXT_control_flow_attributes : require
@@ -31,10 +31,12 @@ const int LOADS = ROW / int(L);
 void main() {
     const uint lane = gl_LocalInvocationID.x % L;
     const uint index = gl_WorkGroupID.x * (LOCAL / L) + gl_LocalInvocationID.x / L;
-    const uint total = cin4 * splits;
+    const uint pairs = (cin4 + 1) / 2;
+    const uint total = pairs * splits;
     const uint clamped = min(index, total - 1);
-    const uint c4 = clamped % cin4;
-    const uint split = clamped / cin4;
+    const uint c4 = clamped % pairs * 2;  // and the next, where there is one
+    const uint split = clamped / pairs;
+    const bool both = c4 + 1 < cin4;
     const uint co_block = gl_WorkGroupID.y;
     const uint co = co_block * L + lane;
     const bool co_alive = co < cout;
@@ -42,21 +44,24 @@ void main() {
     const uint strips_x = (width + OUT - 1) / OUT;
     const uint strips = strips_x * batch;
 
-    float acc[36];
-    [[unroll]] for (int i = 0; i < 36; ++i) acc[i] = 0.0;
+    float acc[2][36];
+    [[unroll]] for (int i = 0; i < 72; ++i) acc[i / 36][i % 36] = 0.0;
 
     for (uint strip = split; strip < strips; strip += splits) {
         const uint n = strip / strips_x;
         const int x0 = int(strip % strips_x) * OUT;
         int base[LOADS];
         bool inside[LOADS];
-        vec4 r[3][LOADS];
+        vec4 r[2][3][LOADS];
+        const int next = both ? int(width) : 0;
         [[unroll]] for (int k = 0; k < LOADS; ++k) {
             const int px = x0 - 1 + k * int(L) + int(lane);
             inside[k] = px >= 0 && px < int(width);
             base[k] = inside[k] ? int((n * height * cin4 + c4) * width) + px : 0;
-            r[0][k] = vec4(0.0);
-            r[1][k] = mix(vec4(0.0), imageLoad(x, base[k]), bvec4(inside[k]));
+            [[unroll]] for (int c = 0; c < 2; ++c) {
+                r[c][0][k] = vec4(0.0);
+                r[c][1][k] = mix(vec4(0.0), imageLoad(x, base[k] + c * next), bvec4(inside[k]));
+            }
         }
         int dy_at = int(((n * cout + (co_alive ? co : 0)) * height) * w4) + x0 / 4;
         for (uint row = 0; row < height; ++row) {
@@ -64,7 +69,7 @@ void main() {
             [[unroll]] for (int k = 0; k < LOADS; ++k) {
                 const bool ok = inside[k] && below;
                 const int at = ok ? base[k] + int((row + 1) * width * cin4) : 0;
-                r[2][k] = mix(vec4(0.0), imageLoad(x, at), bvec4(ok));
+                [[unroll]] for (int c = 0; c < 2; ++c) r[c][2][k] = mix(vec4(0.0), imageLoad(x, at + c * next), bvec4(ok));
             }
             float d[OUT];
             [[unroll]] for (int j = 0; j < OUT / 4; ++j) {
@@ -73,29 +78,35 @@ void main() {
                 [[unroll]] for (int p = 0; p < 4; ++p) d[j * 4 + p] = four[p];
             }
             // Three accumulators and three neighbouring pixels at a time: few enough to stay in registers.
-            [[unroll]] for (int ky = 0; ky < 3; ++ky) {
+            [[unroll]] for (int k = 0; k < 6; ++k) {
+                const int c = k / 3;
+                const int ky = k % 3;
                 [[unroll]] for (int ci = 0; ci < 4; ++ci) {
                     [[unroll]] for (int p = 0; p < OUT; ++p) {
                         [[unroll]] for (int kx = 0; kx < 3; ++kx) {
                             const int q = p + kx;
-                            const float v = subgroupShuffle(r[ky][q / int(L)][ci], uint(q % int(L)));
-                            acc[(ky * 3 + kx) * 4 + ci] += d[p] * v;
+                            const float v = subgroupShuffle(r[c][ky][q / int(L)][ci], uint(q % int(L)));
+                            acc[c][(ky * 3 + kx) * 4 + ci] += d[p] * v;
                         }
                     }
                 }
             }
             [[unroll]] for (int k = 0; k < LOADS; ++k) {
-                r[0][k] = r[1][k];
-                r[1][k] = r[2][k];
+                [[unroll]] for (int c = 0; c < 2; ++c) {
+                    r[c][0][k] = r[c][1][k];
+                    r[c][1][k] = r[c][2][k];
+                }
             }
             dy_at += int(w4);
         }
     }
 
-    if (index < total) {
-        const uint at = ((split * co_blocks + co_block) * cin4 + c4) * 9 * L + lane;
-        [[unroll]] for (int t = 0; t < 9; ++t) {
-            partial_sum[at + t * L] = vec4(acc[t * 4], acc[t * 4 + 1], acc[t * 4 + 2], acc[t * 4 + 3]);
+    [[unroll]] for (int c = 0; c < 2; ++c) {
+        if (index < total && (c == 0 || both)) {
+            const uint at = ((split * co_blocks + co_block) * cin4 + c4 + c) * 9 * L + lane;
+            [[unroll]] for (int t = 0; t < 9; ++t) {
+                partial_sum[at + t * L] = vec4(acc[c][t * 4], acc[c][t * 4 + 1], acc[c][t * 4 + 2], acc[c][t * 4 + 3]);
+            }
         }
     }
 }

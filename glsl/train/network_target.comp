@@ -5,6 +5,7 @@
 #include "lib/transfer.glsl"
 #include "lib/crop.glsl"
 
+layout(constant_id = 0) const uint TRANSFER = TRANSFER_LOG1P;
 layout(local_size_x = 64) in;
 
 layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer radiance;  // [pixel]
@@ -26,5 +27,5 @@ void main() {
     if (index >= count) return;
     const int at = int(index);
     const ivec2 p = crop_source(ivec2(at % crop_width, at / crop_width), ivec2(crop_width, crop_height), ivec2(x0, y0), orientation);
-    y[index] = vec4(to_network(imageLoad(radiance, p.y * width + p.x).rgb, imageLoad(stats, 0).x), 0.0);
+    y[index] = vec4(to_network(TRANSFER, imageLoad(radiance, p.y * width + p.x).rgb, imageLoad(stats, 0).x), 0.0);
 }

@@ -3,9 +3,11 @@
 use super::device::DeviceArgs;
 use super::files::{Files, parse_exposure};
 use super::progress::Progress;
-use super::reconstruct::{Reconstruction, exact_pixels};
+use super::reconstruct::Reconstruction;
 use super::report;
-use limpid::gpu::{Buffer, Gpu, Timings};
+use super::tile::TileArgs;
+use limpid::denoise::Inputs;
+use limpid::gpu::{Gpu, Timings};
 use limpid::image::{Image, exr};
 use limpid::{Error, Result};
 use serde_json::json;
@@ -14,9 +16,11 @@ use std::time::Instant;
 
 /// Reconstruct a picture that limpid rendered
 ///
-/// IN.exr gives the noisy radiance (noisy.R/G/B, or R, G, B where these are absent), Nscreen.X/Y, Z and albedo.R/G/B. OUT.exr
-/// has the same channels, with the reconstruction in R, G, B; beside it go OUT.png and OUT.compare.png (noisy, reconstructed).
+/// IN.exr gives the noisy radiance (noisy.R/G/B, or R, G, B where these are absent), albedo.R/G/B and what else the weights'
+/// network reads: Nscreen.X/Y and Z, or N.X/Y/Z. OUT.exr has the same channels, with the reconstruction in R, G, B; beside it go OUT.png and OUT.compare.png (noisy, reconstructed).
 /// The result equals that of `limpid render --denoise` bit for bit.
+///
+/// A frame that does not fit the device is reconstructed in tiles, with the same bits.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Picture to reconstruct
@@ -32,6 +36,8 @@ pub struct Args {
     #[arg(long, value_name = "EV", default_value = "0", allow_negative_numbers = true, value_parser = parse_exposure)]
     exposure: f32,
     #[command(flatten)]
+    tiles: TileArgs,
+    #[command(flatten)]
     device: DeviceArgs,
     /// Print one JSON object
     #[arg(long)]
@@ -42,28 +48,30 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<u8> {
     let start = Instant::now();
     let files = Files::new(&args.output)?;
-    let mut image = read(&args.input)?;
+    let mut network = Reconstruction::load(args.weights.as_deref(), args.tiles.demand())?;
+    let mut image = read(&args.input, network.inputs())?;
     files.writable(true)?;
-    let mut network = Reconstruction::load(args.weights.as_deref())?;
     let gpu = args.device.open()?;
-    let [radiance, screen] = upload(&gpu, &image)?;
-    let progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
-    let timings = network.run(&gpu, [&radiance.all(), &screen.all()], &mut image)?;
+    network.choose(&gpu, (image.width, image.height), false)?;
+    let mut progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
+    let pixels = image.pixel_count() as f64;
+    let timings = network.run(&gpu, None, &mut image, |done| progress.update(done, pixels, "pixels"))?;
     drop(progress);
+    network.release();
     args.device.check(&gpu)?;
     let outputs = files.write(&image, args.exposure)?;
     report(args, &gpu, &network, (&image, timings.as_ref()), &outputs, start)
 }
 
-/// The picture, its noisy radiance in `R,G,B`.
-fn read(path: &Path) -> Result<Image> {
+/// The picture, its noisy radiance in `R,G,B`, with all that `inputs` need. Which pixels are exact is seen from the albedo.
+fn read(path: &Path, inputs: Inputs) -> Result<Image> {
     let mut image = exr::read(path)?;
     if image.has_rgb("noisy") {
-        let noisy = image.rgb("noisy")?.map(<[f32]>::to_vec);
-        image.set_rgb("", noisy);
+        image.move_rgb("noisy", "")?;
     }
-    let wanted = ["R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "Nscreen.X", "Nscreen.Y", "Z"];
-    let missing: Vec<_> = wanted.into_iter().filter(|name| !image.channels.contains_key(*name)).collect();
+    let guides = inputs.planes()[1..].iter().flat_map(|(_, channels)| *channels).filter(|c| !c.starts_with("albedo."));
+    let wanted = ["R", "G", "B", "albedo.R", "albedo.G", "albedo.B"].into_iter().chain(guides);
+    let missing: Vec<_> = wanted.filter(|name| !image.channels.contains_key(*name)).collect();
     if !missing.is_empty() {
         return Err(Error::input(format!(
             "{}: it has no {}; give an EXR that `limpid render` wrote",
@@ -72,22 +80,6 @@ fn read(path: &Path) -> Result<Image> {
         )));
     }
     Ok(image)
-}
-
-/// Radiance (rgb, exact) and screen values (normal x, y, depth, 0) as the renderer has them.
-fn upload(gpu: &Gpu, image: &Image) -> Result<[Buffer; 2]> {
-    let [r, g, b] = image.rgb("")?;
-    let (x, y, z) = (image.channel("Nscreen.X")?, image.channel("Nscreen.Y")?, image.channel("Z")?);
-    let exact = exact_pixels(image)?;
-    let count = image.pixel_count();
-    let radiance: Vec<_> = (0..count).map(|i| [r[i], g[i], b[i], f32::from(u8::from(exact[i]))]).collect();
-    let screen: Vec<_> = (0..count).map(|i| [x[i], y[i], z[i], 0.0]).collect();
-    let make = |name: &str, values: &[[f32; 4]]| {
-        let buffer = gpu.buffer(name, size_of_val(values) as u64)?;
-        gpu.upload(&buffer.all(), values)?;
-        Ok(buffer)
-    };
-    Ok([make("radiance", &radiance)?, make("screen", &screen)?])
 }
 
 fn report(
@@ -114,8 +106,10 @@ fn report(
     map.insert("outputs".into(), json!(outputs));
     map.insert("skipped".into(), json!(skipped));
     map.insert("kernels".into(), json!(network.kernels()));
+    map.insert("tiling".into(), json!(network.tiling()));
     let settings = json!({
         "width": image.width, "height": image.height, "weights": network.describe(), "exposure_ev": args.exposure,
+        "tile": args.tiles.tile, "max_memory_mib": args.tiles.max_memory,
     });
     map.insert("settings".into(), settings);
     let times = json!({

@@ -57,6 +57,7 @@ fn describe(device: &DeviceInfo, is_default: bool) -> String {
     row("driver", device.driver.clone());
     row("Vulkan", device.api_version.clone());
     row("subgroup", format!("{} invocations", device.subgroup_size));
+    row("memory", format!("{} MiB", device.memory_bytes >> 20));
     row("binding", mib(device.max_storage_range));
     row("allocation", mib(device.max_allocation));
     let families = families(device);

@@ -6,6 +6,7 @@ use super::reconstruct::Reconstruction;
 use super::render::Args;
 use super::report;
 use super::stop::{Signal, Stop};
+use limpid::denoise::{Axes, Guides};
 use limpid::gpu::Gpu;
 use limpid::image::{Image, exr, file};
 use limpid::render::{Features, Renderer, Settings};
@@ -93,6 +94,10 @@ impl<'a> Work<'a> {
             line(&format!("{} is finished: kept", files.exr.display()));
             self.totals.frames.push(json!({ "frame": frame.number, "kept": report::text(&files.exr) }));
             return Ok(true);
+        }
+        if let Some(network) = &mut self.network {
+            // What does not fit shows before hours of rendering.
+            network.choose(&self.gpu, (frame.scene.camera.width, frame.scene.camera.height), true)?;
         }
         let start = Instant::now();
         let label = self.label(frame);
@@ -192,9 +197,12 @@ impl<'a> Work<'a> {
     fn reconstruct(&mut self, renderer: &mut Renderer, image: &mut Image) -> Result<()> {
         let Some(network) = &mut self.network else { return Ok(()) };
         let start = Instant::now();
-        let progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
+        let mut progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
+        let pixels = image.pixel_count() as f64;
         let outputs = renderer.outputs()?;
-        match network.run(&self.gpu, [&outputs.radiance, &outputs.screen], image)? {
+        let guides = Guides::of(&outputs, network.inputs(), Axes::default());
+        let resident = Some((&outputs.radiance, &guides));
+        match network.run(&self.gpu, resident, image, |done| progress.update(done, pixels, "pixels"))? {
             Some(timings) => self.totals.reconstruct_device_ms += timings.device_ms,
             None => self.totals.skipped.push("the reconstruction: no pixel is noisy".into()),
         }

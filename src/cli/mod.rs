@@ -13,7 +13,9 @@ mod render;
 mod report;
 mod scene;
 mod stop;
+mod tile;
 mod train;
+mod weights;
 
 use clap::{Parser, Subcommand};
 use limpid::Result;
@@ -40,6 +42,7 @@ enum Command {
     Scene(scene::Args),
     Train(Box<train::Args>),
     Bench(bench::Args),
+    Weights(weights::Args),
     Devices(devices::Args),
 }
 
@@ -52,6 +55,7 @@ pub fn run(cli: &Cli) -> Result<u8> {
         Command::Scene(args) => scene::run(args),
         Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Weights(args) => weights::run(args),
         Command::Devices(args) => devices::run(args),
     }
 }

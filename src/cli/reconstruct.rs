@@ -1,10 +1,12 @@
 //! The network, ready to reconstruct pictures.
 
-use limpid::Result;
-use limpid::denoise::{Denoiser, check_weights, embedded_weights};
+use limpid::denoise::{
+    Choice, Demand, Denoiser, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, embedded_weights,
+};
 use limpid::gpu::{Gpu, Slice, Timings};
-use limpid::image::Image;
+use limpid::image::{Image, Rgb};
 use limpid::net::weights::Weights;
+use limpid::{Error, Result};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -13,18 +15,33 @@ use std::path::Path;
 pub struct Reconstruction {
     name: String,
     weights: Weights,
+    inputs: Inputs,
     sha256: String,
-    denoiser: Option<((u32, u32), Denoiser)>,
+    demand: Demand,
+    choice: Option<(Kernels, Choice)>,
+    made: Option<(Choice, Made)>,
+}
+
+enum Made {
+    /// For frames on the device.
+    Whole(Box<Denoiser>),
+    /// For frames in host memory, be it as one tile.
+    Tiled(Box<TiledDenoiser>),
 }
 
 impl Reconstruction {
     /// Loads the weights of a file, or those that limpid was shipped with.
-    pub fn load(file: Option<&Path>) -> Result<Self> {
+    pub fn load(file: Option<&Path>, demand: Demand) -> Result<Self> {
         let name = file.map_or_else(|| "embedded".to_owned(), |file| file.display().to_string());
         let weights = file.map_or_else(embedded_weights, Weights::load)?;
-        check_weights(&weights, &name)?;
+        let inputs = Preparation::of_weights(&weights, &name)?.inputs;
         let sha256 = Sha256::digest(weights.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { name, weights, sha256, denoiser: None })
+        Ok(Self { name, weights, inputs, sha256, demand, choice: None, made: None })
+    }
+
+    /// What the network reads of a frame.
+    pub fn inputs(&self) -> Inputs {
+        self.inputs
     }
 
     /// The SHA-256 of the weights as limpid writes them to a file.
@@ -39,34 +56,109 @@ impl Reconstruction {
 
     /// The kernels in use; none before the first picture.
     pub fn kernels(&self) -> Option<&'static str> {
-        self.denoiser.as_ref().map(|(_, denoiser)| denoiser.family().name())
+        self.choice.map(|(kernels, _)| kernels.family.name())
     }
 
-    /// Moves the channels `R,G,B` to `noisy` and puts their reconstruction in their place. `radiance` and `screen` are
-    /// the same picture on the device. Nothing runs where nothing is noisy: then the result has no times.
-    pub fn run(&mut self, gpu: &Gpu, frame: [&Slice; 2], image: &mut Image) -> Result<Option<Timings>> {
-        let noisy = image.rgb("")?.map(<[f32]>::to_vec);
-        image.set_rgb("noisy", noisy);
+    /// How the last picture was cut; none before the first.
+    pub fn tiling(&self) -> Option<Value> {
+        let (_, Choice { tiling, bytes }) = self.choice?;
+        let (window, core) = (tiling.window(), tiling.core());
+        Some(json!({
+            "tiles": tiling.count(), "core": [core.0, core.1], "window": [window.0, window.1], "overlap": tiling.overlap(),
+            "device_bytes": bytes,
+        }))
+    }
+
+    /// Decides how pictures of this size are cut, without allocating anything; an error where nothing fits.
+    pub fn choose(&mut self, gpu: &Gpu, size: (u32, u32), resident: bool) -> Result<Choice> {
+        let kernels = Kernels::best(gpu.info());
+        let (info, architecture) = (gpu.info(), &self.weights.architecture);
+        let task = Task { info, architecture, inputs: self.inputs, kernels, size, resident };
+        let choice = task.choose(&self.demand)?;
+        self.choice = Some((kernels, choice));
+        Ok(choice)
+    }
+
+    /// Moves the channels `R,G,B` to `noisy` and puts their reconstruction in their place. `resident` are radiance and the
+    /// guides for [`Self::inputs`] of the same picture where the device holds them. Nothing runs where nothing is noisy: then the result has no
+    /// times. `progress` is told the share of the work that is done.
+    pub fn run(
+        &mut self,
+        gpu: &Gpu,
+        resident: Option<(&Slice, &Guides)>,
+        image: &mut Image,
+        progress: impl FnMut(f64),
+    ) -> Result<Option<Timings>> {
+        image.move_rgb("", "noisy")?;
         image.attributes.insert("weights".into(), self.sha256.clone());
-        if exact_pixels(image)?.iter().all(|&exact| exact) {
+        let unlit = image.attributes.get("bounces").is_some_and(|bounces| bounces == "0");
+        let albedo = image.rgb("albedo")?;
+        let exact = |i: usize| unlit || is_exact(&albedo, i);
+        if (0..image.pixel_count()).all(exact) {
+            let noisy = image.rgb("noisy")?.map(<[f32]>::to_vec);
+            image.set_rgb("", noisy);
             return Ok(None);
         }
-        let size = (image.width, image.height);
-        let denoiser = match self.denoiser.take() {
-            Some((made_for, denoiser)) if made_for == size => denoiser,
-            // The old one's memory is free by now.
-            _ => Denoiser::new(gpu, &self.weights, size.0, size.1)?,
+        let inputs = self.inputs;
+        let choice = self.choose(gpu, (image.width, image.height), resident.is_some())?;
+        let (planes, timings) = match (self.make(gpu, choice, resident.is_some())?, resident) {
+            (Made::Whole(denoiser), Some((radiance, guides))) => denoiser.run(radiance, guides)?,
+            (Made::Tiled(denoiser), _) => {
+                let planes = planes(image, inputs, &exact)?;
+                let planes: Vec<Plane> = planes.iter().map(|plane| &**plane as Plane).collect();
+                denoiser.run(&planes, progress)?
+            }
+            (Made::Whole(_), None) => unreachable!("made for frames on the device"),
         };
-        let (_, denoiser) = self.denoiser.insert((size, denoiser));
-        let (planes, timings) = denoiser.run(frame[0], frame[1])?;
         image.set_rgb("", planes);
         Ok(Some(timings))
     }
+
+    /// The network for a tiling, made anew where the last picture's was another.
+    fn make(&mut self, gpu: &Gpu, choice: Choice, resident: bool) -> Result<&mut Made> {
+        let made = match self.made.take() {
+            Some((made_for, made)) if made_for == choice => made,
+            // The old one's memory is free by now.
+            _ => {
+                let (kernels, tiling) = (Kernels::best(gpu.info()), choice.tiling);
+                let made = if resident && tiling.count() == 1 {
+                    Denoiser::with_kernels(gpu, &self.weights, kernels, tiling.size()).map(|d| Made::Whole(Box::new(d)))
+                } else {
+                    TiledDenoiser::new(gpu, &self.weights, kernels, tiling).map(|d| Made::Tiled(Box::new(d)))
+                };
+                made.map_err(|error| match error {
+                    Error::OutOfMemory(cause) => {
+                        Error::OutOfMemory(format!("{cause}; a lower --max-memory takes smaller tiles"))
+                    }
+                    other => other,
+                })?
+            }
+        };
+        Ok(&mut self.made.insert((choice, made)).1)
+    }
+
+    /// Frees the device's memory.
+    pub fn release(&mut self) {
+        self.made = None;
+    }
 }
 
-/// The pixels that are exact: their first hit reflects nothing, or reflections were not asked for.
-pub fn exact_pixels(image: &Image) -> Result<Vec<bool>> {
-    let [r, g, b] = image.rgb("albedo")?;
-    let unlit = image.attributes.get("bounces").is_some_and(|bounces| bounces == "0");
-    Ok((0..r.len()).map(|i| unlit || (r[i] == 0.0 && g[i] == 0.0 && b[i] == 0.0)).collect())
+/// A plane that owns what it reads.
+type OwnedPlane<'a> = Box<dyn Fn(usize) -> [f32; 4] + 'a>;
+
+/// The planes of `inputs`, their radiance from the noisy channels.
+fn planes<'a>(image: &'a Image, inputs: Inputs, exact: &'a dyn Fn(usize) -> bool) -> Result<Vec<OwnedPlane<'a>>> {
+    let [r, g, b] = image.rgb("noisy")?;
+    let radiance = move |i: usize| [r[i], g[i], b[i], f32::from(u8::from(exact(i)))];
+    let mut planes: Vec<OwnedPlane<'a>> = vec![Box::new(radiance)];
+    for (_, [x, y, z]) in &inputs.planes()[1..] {
+        let (x, y, z) = (image.channel(x)?, image.channel(y)?, image.channel(z)?);
+        planes.push(Box::new(move |i| [x[i], y[i], z[i], 0.0]));
+    }
+    Ok(planes)
+}
+
+/// Whether a pixel's radiance is exact: its first hit reflects nothing.
+fn is_exact(albedo: &Rgb, i: usize) -> bool {
+    albedo.iter().all(|plane| plane[i] == 0.0)
 }

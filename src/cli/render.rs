@@ -6,6 +6,7 @@ use super::frame::{Frame, Work};
 use super::reconstruct::Reconstruction;
 use super::report;
 use super::stop::{Signal, Stop};
+use super::tile::TileArgs;
 use limpid::image::check_size;
 use limpid::render::{Estimator, Sampler, Settings};
 use limpid::scene::{Loaded, Spec, mitsuba};
@@ -64,6 +65,8 @@ pub struct Args {
     /// Weights, a safetensors file [default: those shipped with limpid]
     #[arg(long, value_name = "FILE", requires = "denoise")]
     pub weights: Option<PathBuf>,
+    #[command(flatten)]
+    pub tiles: TileArgs,
     /// Brightness of the PNG files only, in EV
     #[arg(long, value_name = "EV", default_value = "0", value_parser = parse_exposure)]
     pub exposure: f32,
@@ -146,6 +149,9 @@ pub fn run(args: &Args) -> Result<u8> {
     if args.variance && args.sampler != Sampler::Pcg {
         return Err(Error::input("--variance needs independent samples: add --sampler pcg"));
     }
+    if args.tiles.any() && !args.denoise {
+        return Err(Error::input("--tile and --max-memory are about the reconstruction: add --denoise"));
+    }
     let spec: Spec = args.scene.parse()?;
     let files = args.files(&spec)?;
     let numbers: Vec<Option<u32>> = match &args.frames {
@@ -155,7 +161,8 @@ pub fn run(args: &Args) -> Result<u8> {
     // Whatever is wrong with the input shows before a device is opened.
     let first = args.load(&spec, numbers[0])?;
     frame_files(&files, numbers[0])?.writable(args.denoise)?;
-    let network = if args.denoise { Some(Reconstruction::load(args.weights.as_deref())?) } else { None };
+    let load = || Reconstruction::load(args.weights.as_deref(), args.tiles.demand());
+    let network = args.denoise.then(load).transpose()?;
     let mut work = Work::new(args, args.device.open()?, network, &stop);
     let mut frame = first;
     for (i, &number) in numbers.iter().enumerate() {
@@ -190,6 +197,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
         "width": last.scene.camera.width, "height": last.scene.camera.height, "spp": s.spp, "seed": args.seed,
         "bounces": s.bounces, "estimator": s.estimator.to_string(), "sampler": s.sampler.to_string(), "aa": s.aa,
         "variance": s.variance, "denoise": args.denoise, "exposure_ev": args.exposure,
+        "tile": args.tiles.tile, "max_memory_mib": args.tiles.max_memory,
         "weights": work.network.as_ref().map(Reconstruction::describe),
     });
     map.insert("scene".into(), json!(args.scene));
@@ -210,6 +218,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
     map.insert("invalid_samples".into(), json!(totals.invalid));
     map.insert("skipped".into(), json!(totals.skipped));
     map.insert("kernels".into(), json!(work.network.as_ref().and_then(Reconstruction::kernels)));
+    map.insert("tiling".into(), json!(work.network.as_ref().and_then(Reconstruction::tiling)));
     map.insert("frames".into(), json!(totals.frames));
     map.insert("outputs".into(), json!(totals.outputs));
     map.insert("interrupted".into(), json!(signal.map(Signal::name)));

@@ -3,6 +3,7 @@
 use super::device::DeviceArgs;
 use super::progress::{Progress, line};
 use super::stop::Stop;
+use limpid::denoise::Preparation;
 use limpid::gpu::Gpu;
 use limpid::image::file::writable;
 use limpid::net::architecture::Architecture;
@@ -27,9 +28,9 @@ pub struct Args {
     /// Weights file to write.
     #[arg(short, long, value_name = "OUT.safetensors", required_unless_present = "verify")]
     output: Option<PathBuf>,
-    /// Network architecture.
-    #[arg(long, default_value = "seed")]
-    arch: String,
+    /// Network architecture: `seed`, `base`, or `base:W,...` with 11 widths.
+    #[arg(long, visible_alias = "arch", default_value = "seed")]
+    architecture: String,
     /// Steps to take.
     #[arg(long, conflicts_with = "minutes")]
     steps: Option<u64>,
@@ -184,18 +185,29 @@ fn begin(args: &Args, gpu: &Gpu) -> Result<Run> {
         weights.parameters = parameters;
         return Run::new(gpu, state, &weights, Some(&moments));
     }
-    let architecture = Architecture::named(&args.arch)?;
+    let architecture = Architecture::named(&args.architecture)?;
     let (weights, init) = initial_weights(args, &architecture, args.seed)?;
-    let state = RunState::new(&args.arch, args.data(), args.learning_rate, args.length()?, init);
+    let state =
+        RunState::new(&weights.architecture.specification(), args.data(), args.learning_rate, args.length()?, init);
     Run::new(gpu, state, &weights, None)
 }
 
-/// The weights that a run begins with, and the sha256 of their file.
+/// The weights that a run begins with, a file's with the file's widths, and the sha256 of that file.
 fn initial_weights(args: &Args, architecture: &Architecture, seed: u64) -> Result<(Weights, Option<String>)> {
     match &args.init {
         None => Ok((Weights::glorot(architecture, seed), None)),
         Some(path) => {
-            let weights = Weights::load_as(path, architecture)?;
+            let weights = Weights::load(path)?;
+            let (file, name) = (path.display(), weights.architecture.name());
+            if name != architecture.name() {
+                return Err(Error::input(format!(
+                    "{file}: architecture: expected {}, found `{name}`",
+                    architecture.name()
+                )));
+            }
+            if Preparation::of_weights(&weights, &file.to_string())? != Preparation::of_architecture(architecture)? {
+                return Err(Error::input(format!("{file}: `{name}` is trained with other inputs or another transfer")));
+            }
             let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
             let sum: String = Sha256::digest(&bytes).iter().map(|b| format!("{b:02x}")).collect();
             Ok((weights, Some(sum)))

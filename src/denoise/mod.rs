@@ -1,21 +1,27 @@
-//! Reconstruction: frame -> network input -> network -> frame, all on the device.
+//! Reconstruction: frame -> network input -> network -> frame, all on the device, as a whole or in tiles.
 
+mod budget;
 mod frame;
+mod network;
+mod preparation;
+mod tiled;
+mod tiles;
 
-pub use frame::{BinsPush, Crop, FrameStats, INPUTS, InputPush, JoinPush, TRANSFER, check_weights, record_input};
+pub use budget::{Choice, Demand, Task, check_core};
+pub use frame::{
+    AlbedoNormalPush, Axes, BIN, BinsPush, Crop, Frame, FrameStats, Guides, InputPush, JoinPush, record_input,
+};
+pub use network::{Kernels, OutputPush};
+pub use preparation::{Inputs, Preparation, Transfer};
+pub use tiled::{Plane, TiledDenoiser};
+pub use tiles::{Rect, Tile, Tiling};
 
-use crate::gpu::{Buffer, Commands, Gpu, Slice, Timings};
-use crate::net::device::{groups, windows};
+use crate::gpu::{Commands, Footprint, Gpu, Slice, Timings};
+use crate::net::architecture::Architecture;
 use crate::net::kernel::Family;
-use crate::net::parameters::Parameters;
-use crate::net::plan::{Fusion, Memory, Plan};
 use crate::net::weights::Weights;
-use crate::{Result, push_block, shaders};
-
-push_block! {
-    /// Push constants of `network_output.comp`.
-    pub struct OutputPush for shaders::network_output { begin: u32, count: u32, width: u32, padded_width: u32 }
-}
+use crate::{Error, Result};
+use network::Network;
 
 /// The weights that are part of the program.
 const EMBEDDED: &[u8] = include_bytes!("../../weights/seed.safetensors");
@@ -25,75 +31,74 @@ pub fn embedded_weights() -> Result<Weights> {
     Weights::from_bytes(EMBEDDED, "embedded weights", None)
 }
 
-/// A network made ready for frames of one size.
+/// A network made ready for frames of one size that lie on the device, each reconstructed as a whole.
 pub struct Denoiser {
-    gpu: Gpu,
+    network: Network,
     size: (u32, u32),
-    family: Family,
-    parameters: Parameters,
-    plan: Plan,
-    frame_stats: FrameStats,
-    stats: Buffer,
-    result: Buffer,
+}
+
+fn pixels((width, height): (u32, u32)) -> u64 {
+    u64::from(width) * u64::from(height)
+}
+
+fn padded(architecture: &Architecture, (width, height): (u32, u32)) -> (u32, u32) {
+    let padded = |size: u32| architecture.padded(size as usize) as u32;
+    (padded(width), padded(height))
 }
 
 impl Denoiser {
-    /// Tensors for frames of `width` x `height` pixels.
+    /// The memory that [`Self::with_kernels`] will take.
+    #[must_use]
+    pub fn footprint(architecture: &Architecture, kernels: Kernels, size: (u32, u32)) -> Footprint {
+        Network::footprint(architecture, kernels, size, padded(architecture, size), pixels(size))
+    }
+
+    /// Tensors for frames of `width` x `height` pixels, the fastest kernels. The metadata of `weights` say what their network
+    /// reads.
     pub fn new(gpu: &Gpu, weights: &Weights, width: u32, height: u32) -> Result<Self> {
-        let family = Family::choose(gpu.info());
-        let parameters = Parameters::new(gpu, family, weights, false)?;
-        let padded = |size: u32| weights.architecture.padded(size as usize) as u32;
-        let size = (1, padded(height), padded(width));
-        let plan = Plan::new(gpu, &weights.architecture, family, size, Memory::Shared, Fusion::best(family))?;
-        Ok(Self {
-            gpu: gpu.clone(),
-            size: (width, height),
-            family,
-            parameters,
-            plan,
-            frame_stats: FrameStats::new(gpu, width, height)?,
-            stats: gpu.buffer("frame stats", 16)?,
-            result: gpu.buffer("reconstruction", u64::from(width) * u64::from(height) * 16)?,
-        })
+        Self::with_kernels(gpu, weights, Kernels::best(gpu.info()), (width, height))
+    }
+
+    /// The same with the kernels named.
+    pub fn with_kernels(gpu: &Gpu, weights: &Weights, kernels: Kernels, size: (u32, u32)) -> Result<Self> {
+        let network = Network::new(gpu, weights, kernels, size, padded(&weights.architecture, size), pixels(size))?;
+        Ok(Self { network, size })
     }
 
     /// The kernels in use.
     #[must_use]
     pub fn family(&self) -> Family {
-        self.family
+        self.network.kernels.family
     }
 
-    /// Records the reconstruction of a frame: `radiance` (rgb, exact) and `screen` (normal x, y, depth, hit), four floats
-    /// a pixel, as [`crate::render::Outputs`] has them.
-    pub fn record(&self, radiance: &Slice, screen: &Slice) -> Result<Commands> {
-        let mut rec = self.gpu.recorder();
-        let (width, height) = self.size;
-        let stats = self.stats.slice(0, 16);
-        self.frame_stats.record(&mut rec, radiance, screen, &stats)?;
-        let s = self.plan.input().shape;
-        let crop = Crop { x: 0, y: 0, width: s.w, height: s.h, orientation: 0 };
-        let input = &self.plan.input().slice;
-        record_input(&self.gpu, &mut rec, [radiance, screen, &stats], self.size, crop, input)?;
-        self.plan.record(&mut rec, &self.parameters)?;
-        let kernel = self.gpu.kernel::<shaders::network_output::Shader>(&Default::default())?;
-        for (begin, count) in windows(self.gpu.info(), u64::from(width) * u64::from(height)) {
-            let push = OutputPush { begin: begin as u32, count: count as u32, width, padded_width: s.w };
-            let bind = shaders::network_output::Bind {
-                network: self.plan.output().slice.clone(),
-                radiance: radiance.clone(),
-                stats: stats.clone(),
-                y: self.result.slice(begin * 16, count * 16),
-            };
-            rec.dispatch(&kernel, &bind, &push, groups(count));
+    /// What is done to a frame before and after the network.
+    #[must_use]
+    pub fn preparation(&self) -> Preparation {
+        self.network.preparation
+    }
+
+    /// Records the reconstruction of a frame: `radiance` (rgb, exact), four floats a pixel, as [`crate::render::Outputs`] has
+    /// it, and the guides that the weights ask for.
+    pub fn record(&self, radiance: &Slice, guides: &Guides) -> Result<Commands> {
+        let inputs = self.preparation().inputs;
+        if guides.inputs() != inputs {
+            let (given, wanted) = (guides.inputs().name(), inputs.name());
+            return Err(Error::input(format!("the weights read {wanted}, but are given {given}")));
         }
+        let network = &self.network;
+        let mut rec = network.gpu.recorder();
+        network.record_strip(&mut rec, (radiance, guides), 0..network.frame_stats.bin_rows())?;
+        network.frame_stats.record_join(&mut rec, &network.stats)?;
+        network.record_input(&mut rec, (radiance, guides), self.size)?;
+        network.plan.record(&mut rec, &network.parameters)?;
+        network.record_output(&mut rec, radiance, self.size)?;
         rec.finish()
     }
 
     /// Reconstructs a frame; the planes r, g, b and the times.
-    pub fn run(&self, radiance: &Slice, screen: &Slice) -> Result<([Vec<f32>; 3], Timings)> {
-        let timings = self.record(radiance, screen)?.run()?;
-        let count = u64::from(self.size.0) * u64::from(self.size.1);
-        let pixels: Vec<[f32; 4]> = self.gpu.download(&self.result.slice(0, count * 16))?;
+    pub fn run(&self, radiance: &Slice, guides: &Guides) -> Result<([Vec<f32>; 3], Timings)> {
+        let timings = self.record(radiance, guides)?.run()?;
+        let pixels = self.network.download(pixels(self.size))?;
         Ok((std::array::from_fn(|c| pixels.iter().map(|p| p[c]).collect()), timings))
     }
 }

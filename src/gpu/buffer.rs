@@ -211,12 +211,17 @@ impl Staging {
     }
 }
 
+/// What a buffer of `bytes` takes.
+pub(super) fn buffer_bytes(bytes: u64) -> u64 {
+    bytes.max(1).next_multiple_of(ALIGNMENT)
+}
+
 static NEXT_ID: AtomicU64 = AtomicU64::new(0);
 
 impl Gpu {
     /// A zero-filled device buffer of `bytes` (rounded up to 256).
     pub fn buffer(&self, name: &str, bytes: u64) -> Result<Buffer> {
-        let bytes = bytes.max(1).next_multiple_of(ALIGNMENT);
+        let bytes = buffer_bytes(bytes);
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::STORAGE_TEXEL_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC

@@ -9,6 +9,10 @@ use std::mem::ManuallyDrop;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+/// Buffers up to this size share blocks of it; larger ones have memory of their own, so that no more than a few blocks are
+/// reserved beyond what buffers take.
+const BLOCK_BYTES: u64 = 16 << 20;
+
 /// Which device to use, and how.
 #[derive(Clone, Debug, Default)]
 pub struct DeviceOptions {
@@ -43,6 +47,8 @@ pub struct DeviceInfo {
     pub max_texel_elements: u64,
     /// Largest single allocation, bytes.
     pub max_allocation: u64,
+    /// Memory of the device: its largest heap that is its own, bytes.
+    pub memory_bytes: u64,
     /// Largest number of workgroups in x.
     pub max_groups: u32,
     /// Largest number of invocations in a workgroup.
@@ -99,6 +105,13 @@ fn compute_family(instance: &ash::Instance, device: vk::PhysicalDevice) -> Optio
     families.iter().position(fits).map(|i| i as u32)
 }
 
+fn memory_bytes(instance: &ash::Instance, device: vk::PhysicalDevice) -> u64 {
+    // SAFETY: `device` came from this instance.
+    let memory = unsafe { instance.get_physical_device_memory_properties(device) };
+    let own = |heap: &&vk::MemoryHeap| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
+    memory.memory_heaps_as_slice().iter().filter(own).map(|heap| heap.size).max().unwrap_or(0)
+}
+
 fn describe(instance: &ash::Instance, device: vk::PhysicalDevice, index: usize) -> DeviceInfo {
     let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
@@ -135,6 +148,7 @@ fn describe(instance: &ash::Instance, device: vk::PhysicalDevice, index: usize) 
         max_storage_range: u64::from(p.limits.max_storage_buffer_range),
         max_texel_elements: u64::from(p.limits.max_texel_buffer_elements),
         max_allocation: v11.max_memory_allocation_size,
+        memory_bytes: memory_bytes(instance, device),
         max_groups: p.limits.max_compute_work_group_count[0],
         max_invocations: p.limits.max_compute_work_group_invocations,
         timestamp_period_ns: p.limits.timestamp_period,
@@ -214,7 +228,7 @@ impl Gpu {
             physical_device: physical,
             debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
             buffer_device_address: false,
-            allocation_sizes: gpu_allocator::AllocationSizes::default(),
+            allocation_sizes: gpu_allocator::AllocationSizes::new(BLOCK_BYTES, BLOCK_BYTES),
         })
         .map_err(|e| Error::Gpu(format!("memory allocator: {e}")))?;
         // SAFETY: the family was requested with one queue.
@@ -251,6 +265,12 @@ impl Gpu {
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
         self.0.peak_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Device memory reserved at the moment, for transfers too, bytes.
+    #[must_use]
+    pub fn reserved_bytes(&self) -> u64 {
+        self.0.allocator().capacity()
     }
 
     /// Time spent creating pipelines so far, milliseconds.

@@ -9,6 +9,7 @@ mod buffer;
 mod commands;
 mod device;
 mod environment;
+mod footprint;
 pub mod hazard;
 mod instance;
 mod kernel;
@@ -17,6 +18,7 @@ pub use buffer::{Buffer, Slice};
 pub use commands::{Commands, Recorder, Timings};
 pub use device::{DeviceInfo, DeviceOptions, Gpu, list_devices};
 pub use environment::settings as environment_settings;
+pub use footprint::Footprint;
 pub use kernel::Kernel;
 
 /// What a shader does with a descriptor.

@@ -1,13 +1,20 @@
 //! OpenEXR: one part, flat, channels with dotted names, 32-bit floats.
 
-use super::{Image, file};
+mod header;
+
+use super::Image;
+use super::file::{self, WriteSeek};
 use crate::{Error, Result};
+use exr::block::lines::LineRefMut;
 use exr::error::Error as ExrError;
+use exr::image::write::samples::{SamplesWriter, WritableSamples};
 use exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Layer};
+use exr::math::RoundingMode;
 use exr::meta::MetaData;
-use exr::meta::attribute::{AttributeValue, LineOrder, Text};
+use exr::meta::attribute::{AttributeValue, LevelMode, LineOrder, SampleType, Text};
 use exr::meta::header::{Header, LayerAttributes, standard_names};
 use exr::prelude::{Compression, ReadChannels, ReadLayers, Vec2, WritableImage};
+use header::SortedHeader;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Cursor, ErrorKind, Read, Seek};
@@ -22,17 +29,27 @@ const MAX_NAME_BYTES: usize = 255;
 /// Attributes become text, but numbers that an `int` or a `float` holds exactly as they are printed become those.
 pub fn write(image: &Image, path: impl AsRef<Path>) -> Result<()> {
     let path = path.as_ref();
-    let bytes = encode(image).map_err(|error| Error::input(format!("{}: {error}", path.display())))?;
-    file::write_atomically(path, |out| out.write_all(&bytes).map_err(|error| Error::io(path, error)))
+    file::write_atomically(path, |out| match encode_to(image, out) {
+        Err(Error::Input(cause)) => Err(Error::input(format!("{}: {cause}", path.display()))),
+        Err(Error::Io { source, .. }) => Err(Error::io(path, source)),
+        other => other,
+    })
 }
 
 /// The bytes of [`write()`].
 pub fn encode(image: &Image) -> Result<Vec<u8>> {
+    let mut bytes = Cursor::new(Vec::new());
+    encode_to(image, &mut bytes)?;
+    Ok(bytes.into_inner())
+}
+
+/// Writes the bytes of [`write()`] piece by piece, the planes where they are: images may be larger than half the memory.
+fn encode_to(image: &Image, out: &mut dyn WriteSeek) -> Result<()> {
     image.check()?;
     let size = Vec2(image.width as usize, image.height as usize);
     let channels = image.channels.iter().map(|(name, plane)| {
         check_name("channel", name)?;
-        Ok(AnyChannel::new(text(name), FlatSamples::F32(plane.clone())))
+        Ok(AnyChannel::new(text(name), Plane { width: size.0, values: plane }))
     });
     let encoding =
         Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
@@ -45,14 +62,43 @@ pub fn encode(image: &Image) -> Result<Vec<u8>> {
         attributes.other.insert(text(name), attribute(value));
     }
     let layer = Layer::new(size, attributes, encoding, AnyChannels::sort(channels.collect::<Result<_>>()?));
-    let mut bytes = Cursor::new(Vec::new());
-    exr::image::Image::from_layer(layer)
-        .write()
-        .to_buffered(&mut bytes)
-        .map_err(|error| Error::input(format!("cannot be encoded as EXR: {error}")))?;
-    let mut bytes = bytes.into_inner();
-    sort_attributes(&mut bytes);
-    Ok(bytes)
+    let mut out = SortedHeader::new(out);
+    exr::image::Image::from_layer(layer).write().to_buffered(&mut out).map_err(|error| match error {
+        ExrError::Io(error) => Error::io("the file", error),
+        error => Error::input(format!("cannot be encoded as EXR: {error}")),
+    })?;
+    out.finish().map_err(|error| Error::io("the file", error))
+}
+
+/// A plane that stays where it is while it is written.
+#[derive(Clone, Copy)]
+struct Plane<'a> {
+    width: usize,
+    values: &'a [f32],
+}
+
+impl<'a> WritableSamples<'_> for Plane<'a> {
+    type Writer = Plane<'a>;
+
+    fn sample_type(&self) -> SampleType {
+        SampleType::F32
+    }
+
+    fn infer_level_modes(&self) -> (LevelMode, RoundingMode) {
+        (LevelMode::Singular, RoundingMode::Down)
+    }
+
+    fn create_samples_writer(&self, _: &Header) -> Self::Writer {
+        *self
+    }
+}
+
+impl SamplesWriter for Plane<'_> {
+    fn extract_line(&self, line: LineRefMut<'_>) {
+        let begin = line.location.position.y() * self.width + line.location.position.x();
+        let values = &self.values[begin..begin + line.location.sample_count];
+        line.write_samples_from_slice(values).expect("the line has room for its samples");
+    }
 }
 
 /// Reads a one-part flat EXR of any sample type and lossless or lossy compression; all channels as f32 (a `uint`
@@ -159,24 +205,4 @@ fn text(value: &str) -> Text {
 
 fn string(text: &Text) -> String {
     String::from_utf8_lossy(text.as_slice()).into_owned()
-}
-
-/// Sorts the header's attributes by name, for the encoder keeps them in a hash map. The header keeps its length.
-fn sort_attributes(bytes: &mut [u8]) {
-    const START: usize = 8; // magic number and version
-    let mut attributes = Vec::new();
-    let mut at = START;
-    // Each is: name, 0, type, 0, length in 32 bits, value; a 0 ends the list.
-    while bytes[at] != 0 {
-        let end_of_text = |from: usize| from + bytes[from..].iter().position(|&byte| byte == 0).unwrap_or(0);
-        let name_end = end_of_text(at);
-        let length_at = end_of_text(name_end + 1) + 1;
-        let length = bytes[length_at..].first_chunk().map_or(0, |&chunk| u32::from_le_bytes(chunk) as usize);
-        let end = length_at + 4 + length;
-        attributes.push((bytes[at..name_end].to_vec(), bytes[at..end].to_vec()));
-        at = end;
-    }
-    attributes.sort();
-    let sorted = attributes.into_iter().flat_map(|(_, attribute)| attribute);
-    bytes[START..at].iter_mut().zip(sorted).for_each(|(byte, new)| *byte = new);
 }

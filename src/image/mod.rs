@@ -77,6 +77,17 @@ impl Image {
         self.channels.extend(self.rgb_names(prefix).into_iter().zip(planes));
     }
 
+    /// Gives the channels that [`Image::rgb`] finds another prefix, in place of those that have it.
+    pub fn move_rgb(&mut self, from: &str, to: &str) -> Result<()> {
+        self.rgb(from)?;
+        for (from, to) in self.rgb_names(from).iter().zip(self.rgb_names(to)) {
+            if let Some(plane) = self.channels.remove(from) {
+                self.channels.insert(to, plane);
+            }
+        }
+        Ok(())
+    }
+
     /// Refuses an image without pixels or channels, and planes of another size.
     pub fn check(&self) -> Result<()> {
         if self.pixel_count() == 0 || self.channels.is_empty() {

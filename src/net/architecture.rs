@@ -1,5 +1,6 @@
 //! Architectures: short lists of named nodes, and what follows from a list (shapes, cost, receptive field).
 
+use super::base::Widths;
 use crate::{Error, Result};
 use std::ops::Range;
 
@@ -79,7 +80,7 @@ pub struct Architecture {
 pub type Row<'a> = (&'a str, Op, &'a [&'a str]);
 
 /// The names that [`Architecture::named`] knows.
-pub const NAMES: &[&str] = &["seed"];
+pub const NAMES: &[&str] = &["seed", "base"];
 
 /// The U-Net of Chaitanya et al. 2017 without its recurrent blocks, with 6 inputs: radiance r, g, b, screen-space normal x,
 /// y, depth. A skip is the value of the last convolution before a pooling; it comes second in the concatenation, after
@@ -132,10 +133,12 @@ impl Architecture {
         Self::from_rows("seed", SEED).expect("the list is right: a test builds it")
     }
 
-    /// The architecture of that name, one of [`NAMES`].
+    /// The architecture of that name, one of [`NAMES`]; `base` may be followed by a colon and its widths.
     pub fn named(name: &str) -> Result<Self> {
-        match name {
-            "seed" => Ok(Self::seed()),
+        match name.split_once(':') {
+            None if name == "seed" => Ok(Self::seed()),
+            None if name == "base" => Self::base(&Widths::default()),
+            Some(("base", widths)) => Self::base(&widths.parse()?),
             _ => Err(Error::input(format!("unknown architecture `{name}`: limpid knows {}", NAMES.join(", ")))),
         }
     }
@@ -270,17 +273,24 @@ impl Architecture {
         fields[fields.len() - 1]
     }
 
-    /// How many pixels a tile needs beyond each side of its core, for its core to have the bits of the whole frame.
+    /// How many pixels a tile needs beyond each side of its core, for its core to have the values of the whole frame.
     ///
     /// Cores and tiles begin and end on the grid of [`alignment`](Self::alignment); then this is exact: at every node the
     /// region that the core depends on lies within the tile.
     pub fn tile_overlap(&self) -> usize {
-        // How far the core depends on elements below its first one, at each node in that node's elements.
+        self.tile_overlap_in_blocks(|_| 1)
+    }
+
+    /// The same where a convolution's results are computed in blocks of `block(id)` x `block(id)` (a power of two), so that the
+    /// rounding of each depends on all that its block reads. Cores and tiles begin on the grid of [`tile_step`](Self::tile_step).
+    pub fn tile_overlap_in_blocks(&self, block: impl Fn(NodeId) -> usize) -> usize {
+        // How far the core depends on elements below its first one, at each node in that node's elements. What it depends on
+        // beyond its last one is as far: both ends lie on the grid.
         let mut reach = vec![0usize; self.nodes.len()];
         for (id, node) in self.nodes.iter().enumerate().rev() {
             for &input in &node.inputs {
                 let needed = match node.op {
-                    Op::Conv { .. } => reach[id] + 1,
+                    Op::Conv { .. } => reach[id].next_multiple_of(block(id)) + 1,
                     Op::MaxPool => 2 * reach[id],
                     Op::Upsample => reach[id].div_ceil(2),
                     Op::Input { .. } | Op::Concat => reach[id],
@@ -289,7 +299,14 @@ impl Architecture {
             }
         }
         let pixels = self.nodes.iter().zip(&reach).map(|(node, reach)| reach << node.level);
-        self.padded(pixels.max().unwrap_or(0))
+        pixels.max().unwrap_or(0).next_multiple_of(self.tile_step(block))
+    }
+
+    /// The grid, in pixels, on which tiles begin: of the alignment and of all blocks.
+    pub fn tile_step(&self, block: impl Fn(NodeId) -> usize) -> usize {
+        // Powers of two: the largest is a multiple of all.
+        let blocks = self.nodes.iter().enumerate().map(|(id, node)| block(id) << node.level);
+        blocks.max().unwrap_or(1).max(self.alignment())
     }
 }
 
@@ -305,8 +322,24 @@ mod tests {
         assert_eq!(seed.alignment(), 32);
         assert_eq!(seed.receptive_field(), 286);
         assert_eq!(seed.tile_overlap(), 128);
+        assert_eq!(seed.tile_step(|_| 1), 32);
         assert_eq!((seed.input_channels(), seed.output_channels()), (6, 3));
         assert_eq!((seed.padded(1), seed.padded(768), seed.padded(769)), (32, 768, 800));
+    }
+
+    /// By hand for `seed`: two convolutions at full size in blocks of 4 and one at half size.
+    #[test]
+    fn blocks_widen_the_overlap() {
+        let seed = Architecture::seed();
+        let blocks = |names: &'static [&'static str]| {
+            let nodes = seed.nodes().to_vec();
+            move |id: NodeId| if names.contains(&nodes[id].name.as_str()) { 4 } else { 1 }
+        };
+        let fast = blocks(&["dec_conv1a", "dec_conv1b", "dec_conv2a"]);
+        assert_eq!((seed.tile_overlap_in_blocks(&fast), seed.tile_step(&fast)), (160, 32));
+        // 4 elements of the last level are 128 pixels.
+        let deep = blocks(&["bottleneck"]);
+        assert_eq!((seed.tile_overlap_in_blocks(&deep), seed.tile_step(&deep)), (256, 128));
     }
 
     #[test]

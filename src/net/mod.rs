@@ -4,6 +4,7 @@
 //! is tested against. An [architecture](architecture::Architecture) is a short list of named layers.
 
 pub mod architecture;
+pub mod base;
 pub mod device;
 pub mod kernel;
 pub mod layer;
@@ -11,4 +12,5 @@ pub mod parameters;
 pub mod plan;
 pub mod reference;
 pub mod tensor;
+pub mod tza;
 pub mod weights;

@@ -5,7 +5,7 @@ use super::device::Channels;
 use super::kernel::{Family, conv2d, winograd};
 use super::weights::Weights;
 use crate::Result;
-use crate::gpu::{Buffer, Gpu, Recorder, Slice};
+use crate::gpu::{Buffer, Footprint, Gpu, Recorder, Slice};
 
 /// Each tensor begins at a multiple of this many floats and is padded to it with zeros.
 const ALIGNMENT: usize = 64;
@@ -22,8 +22,10 @@ pub struct ConvParameters {
     pub packed: Slice,
     /// Weights as the input gradient reads them; only for training.
     pub packed_transposed: Option<Slice>,
-    /// Weights as a Winograd convolution reads them; only for inference and where it fits.
+    /// Weights as a Winograd convolution reads them; only where it fits.
     pub winograd: Option<Slice>,
+    /// The same for the input gradient; only for training.
+    pub winograd_transposed: Option<Slice>,
     /// First float of the weights and of the bias in the flat buffer.
     pub at: (usize, usize),
 }
@@ -59,14 +61,40 @@ pub fn conv_layer(architecture: &Architecture, channels: &[Channels], id: NodeId
     conv2d::Layer { input: channels[node.inputs[0]], cout: node.channels as u32 }
 }
 
+fn padded(count: usize) -> usize {
+    count.next_multiple_of(ALIGNMENT)
+}
+
+fn flat_bytes(architecture: &Architecture) -> u64 {
+    architecture.tensors().iter().map(|t| padded(t.range.len()) as u64 * 4).sum()
+}
+
+/// Bytes of the weights of the convolution `id` as a Winograd convolution reads them; none where no plan reads them.
+fn winograd_bytes(architecture: &Architecture, family: Family, id: NodeId, transposed: bool) -> Option<u64> {
+    let layer = conv_layer(architecture, &node_channels(architecture), id);
+    let fits = winograd::fits(family, layer, architecture.nodes()[id].level);
+    fits.then(|| winograd::weights_bytes(family, layer, transposed))
+}
+
 impl Parameters {
+    /// The memory that [`Self::new`] will take for inference.
+    #[must_use]
+    pub fn footprint(architecture: &Architecture, family: Family) -> Footprint {
+        let channels = node_channels(architecture);
+        let convs = (0..channels.len()).filter(|id| architecture.nodes()[*id].parameters.is_some());
+        let packed = convs.flat_map(|id| {
+            let layer = conv_layer(architecture, &channels, id);
+            [Some(layer.packed_bytes(family, false)), winograd_bytes(architecture, family, id, false)]
+        });
+        let flat = std::iter::once(flat_bytes(architecture));
+        flat.chain(packed.flatten()).map(Footprint::buffer).sum()
+    }
+
     /// Uploads `weights`; `training` adds what the backward pass reads.
     pub fn new(gpu: &Gpu, family: Family, weights: &Weights, training: bool) -> Result<Self> {
         let architecture = weights.architecture.clone();
         let channels = node_channels(&architecture);
-        let padded = |count: usize| count.next_multiple_of(ALIGNMENT);
-        let floats: usize = architecture.tensors().iter().map(|t| padded(t.range.len())).sum();
-        let flat = gpu.buffer("parameters", floats as u64 * 4)?;
+        let flat = gpu.buffer("parameters", flat_bytes(&architecture))?;
         let mut at = 0;
         let mut convs = Vec::new();
         for (id, node) in architecture.nodes().iter().enumerate() {
@@ -80,17 +108,18 @@ impl Parameters {
             let packed = |name, transposed| -> Result<Slice> {
                 Ok(gpu.buffer(name, layer.packed_bytes(family, transposed))?.all())
             };
+            let transformed = |transposed| -> Result<Option<Slice>> {
+                let bytes = winograd_bytes(&architecture, family, id, transposed);
+                bytes.map(|bytes| Ok(gpu.buffer("transformed weights", bytes)?.all())).transpose()
+            };
             convs.push(Some(ConvParameters {
                 layer,
                 weight: flat.slice(weight_at as u64 * 4, padded(parameters.weight.len()) as u64 * 4),
                 bias: flat.slice(bias_at as u64 * 4, padded(parameters.bias.len()) as u64 * 4),
                 packed: packed("packed weights", false)?,
                 packed_transposed: if training { Some(packed("transposed weights", true)?) } else { None },
-                winograd: if !training && winograd::fits(family, layer) {
-                    Some(gpu.buffer("transformed weights", winograd::weights_bytes(family, layer))?.all())
-                } else {
-                    None
-                },
+                winograd: transformed(false)?,
+                winograd_transposed: if training { transformed(true)? } else { None },
                 at: (weight_at, bias_at),
             }));
         }
@@ -173,8 +202,11 @@ impl Parameters {
             if let Some(packed) = &conv.packed_transposed {
                 conv2d::pack(&self.gpu, rec, self.family, conv.layer, &conv.weight, packed, true)?;
             }
-            if let Some(out) = &conv.winograd {
-                winograd::transform_weights(&self.gpu, rec, self.family, conv.layer, &conv.weight, out)?;
+            for (out, transposed) in [(&conv.winograd, false), (&conv.winograd_transposed, true)] {
+                if let Some(out) = out {
+                    let (layer, weight) = (conv.layer, &conv.weight);
+                    winograd::transform_weights(&self.gpu, rec, self.family, layer, weight, out, transposed)?;
+                }
             }
         }
         Ok(())

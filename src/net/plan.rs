@@ -4,7 +4,7 @@ use super::architecture::{Architecture, NodeId, Op};
 use super::device::{Channels, DeviceTensor, Shape};
 use super::kernel::{Family, concat, conv2d, leaky_relu, max_pool2d, upsample2d, winograd};
 use super::parameters::{Parameters, conv_layer, node_channels};
-use crate::gpu::{Gpu, Recorder};
+use crate::gpu::{Footprint, Gpu, Recorder};
 use crate::{Error, Result};
 
 /// How the tensors of a plan share memory.
@@ -23,18 +23,29 @@ pub enum Fusion {
     Layers,
     /// The leaky ReLU is part of the convolution.
     Activation,
-    /// The convolutions that [`winograd::fits`] are its, and read the operands of a concatenation and what is upsampled
-    /// where they are; the others as [`Fusion::Activation`]. For families with these kernels, and for inference.
+    /// The convolutions that [`winograd::fits`] are its, for families with these kernels; the others as
+    /// [`Fusion::Activation`].
     Winograd,
+    /// The same, and they read the operands of a concatenation and what is upsampled where they are: for inference.
+    InPlace,
 }
 
 impl Fusion {
     /// The fastest for inference.
     #[must_use]
     pub fn best(family: Family) -> Self {
+        match Self::training(family) {
+            Self::Winograd => Self::InPlace,
+            other => other,
+        }
+    }
+
+    /// The fastest that keeps every value.
+    #[must_use]
+    pub fn training(family: Family) -> Self {
         match family {
-            Family::Portable => Self::Activation,
             Family::Cpu { .. } => Self::Winograd,
+            _ => Self::Activation,
         }
     }
 }
@@ -59,10 +70,6 @@ pub struct Plan {
     /// One a node; what no kernel writes is a texel that nobody reads.
     pub values: Vec<DeviceTensor>,
 }
-
-/// The deepest level with Winograd convolutions. Their results depend, in their last bits, on their whole aligned tile's patch:
-/// deeper, where there is little to gain, tiles of a frame would need far more overlap.
-const WINOGRAD_LEVELS: usize = 1;
 
 /// Bytes that slices of the arena begin at.
 const ALIGNMENT: u64 = 256;
@@ -104,16 +111,19 @@ fn jobs(architecture: &Architecture, family: Family, fusion: Fusion) -> Vec<Job>
     let nodes = architecture.nodes();
     let channels = node_channels(architecture);
     let mut jobs = vec![Job::Layer; nodes.len()];
-    if fusion != Fusion::Winograd {
+    if matches!(fusion, Fusion::Layers | Fusion::Activation) {
         return jobs;
     }
     for (id, node) in nodes.iter().enumerate() {
         let is_conv = matches!(node.op, Op::Conv { .. });
-        let shallow = node.level <= WINOGRAD_LEVELS;
-        if !is_conv || !shallow || !winograd::fits(family, conv_layer(architecture, &channels, id)) {
+        if !is_conv || !winograd::fits(family, conv_layer(architecture, &channels, id), node.level) {
             continue;
         }
         let input = node.inputs[0];
+        if fusion == Fusion::Winograd {
+            jobs[id] = Job::Winograd { operands: vec![input], upsampled: false };
+            continue;
+        }
         let mut operands = if nodes[input].op == Op::Concat { nodes[input].inputs.clone() } else { vec![input] };
         let upsampled = nodes[operands[0]].op == Op::Upsample;
         if upsampled {
@@ -154,7 +164,67 @@ fn last_uses(architecture: &Architecture, jobs: &[Job]) -> Vec<usize> {
     last
 }
 
+/// Side of the blocks of results that a node computes at once.
+fn block(job: &Job) -> usize {
+    if matches!(job, Job::Winograd { .. }) { winograd::TILE as usize } else { 1 }
+}
+
+/// How a plan may be cut into tiles whose cores have the bits of the whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TileRules {
+    /// Frames are padded to a multiple of this.
+    pub alignment: u32,
+    /// Tiles and cores begin at multiples of this, itself a multiple of the alignment.
+    pub step: u32,
+    /// Pixels that a tile needs beyond each side of its core, where the frame does not end before; a multiple of `step`.
+    pub overlap: u32,
+}
+
+impl TileRules {
+    /// Of a plan of these kernels.
+    #[must_use]
+    pub fn new(architecture: &Architecture, family: Family, fusion: Fusion) -> Self {
+        let jobs = jobs(architecture, family, fusion);
+        Self {
+            alignment: architecture.alignment() as u32,
+            step: architecture.tile_step(|id| block(&jobs[id])) as u32,
+            overlap: architecture.tile_overlap_in_blocks(|id| block(&jobs[id])) as u32,
+        }
+    }
+}
+
+/// What a plan computes and holds, known before anything is allocated.
+struct Layout {
+    jobs: Vec<Job>,
+    shapes: Vec<Shape>,
+}
+
+impl Layout {
+    fn new(architecture: &Architecture, family: Family, (n, h, w): (u32, u32, u32), fusion: Fusion) -> Self {
+        let jobs = jobs(architecture, family, fusion);
+        let mut shapes = shapes(architecture, n, h, w);
+        for (shape, _) in shapes.iter_mut().zip(&jobs).filter(|(_, job)| **job == Job::Nothing) {
+            *shape = Shape { n: 1, h: 1, w: 1, c: Channels::new(4) };
+        }
+        Self { jobs, shapes }
+    }
+
+    /// The places of the values in memory that they share, and its size.
+    fn arena(&self, architecture: &Architecture) -> (Vec<u64>, u64) {
+        let bytes: Vec<u64> = self.shapes.iter().map(Shape::bytes).collect();
+        places(&bytes, &last_uses(architecture, &self.jobs))
+    }
+}
+
 impl Plan {
+    /// The memory that [`Self::new`] will take with [`Memory::Shared`]; `size` as there.
+    #[must_use]
+    pub fn footprint(architecture: &Architecture, family: Family, size: (u32, u32, u32), fusion: Fusion) -> Footprint {
+        let layout = Layout::new(architecture, family, size, fusion);
+        let largest = layout.shapes.iter().map(Shape::bytes).max().unwrap_or(0);
+        Footprint::arena(layout.arena(architecture).1, largest)
+    }
+
     /// Tensors for `n` images of `h` x `w` pixels.
     pub fn new(
         gpu: &Gpu,
@@ -165,8 +235,8 @@ impl Plan {
         fusion: Fusion,
     ) -> Result<Self> {
         let (n, h, w) = size;
-        if fusion == Fusion::Winograd && family == Family::Portable {
-            return Err(Error::input("the kernels `portable` have no Winograd convolution".to_owned()));
+        if matches!(fusion, Fusion::Winograd | Fusion::InPlace) && Fusion::training(family) != Fusion::Winograd {
+            return Err(Error::input(format!("the kernels `{}` have no Winograd convolution", family.name())));
         }
         let alignment = architecture.alignment() as u32;
         if n == 0 || h == 0 || w == 0 || !h.is_multiple_of(alignment) || !w.is_multiple_of(alignment) {
@@ -175,25 +245,20 @@ impl Plan {
                 architecture.name()
             )));
         }
-        let jobs = jobs(architecture, family, fusion);
-        let mut shapes = shapes(architecture, n, h, w);
-        for (shape, _) in shapes.iter_mut().zip(&jobs).filter(|(_, job)| **job == Job::Nothing) {
-            *shape = Shape { n: 1, h: 1, w: 1, c: Channels::new(4) };
-        }
+        let layout = Layout::new(architecture, family, size, fusion);
         let values = match memory {
             Memory::Kept => {
                 let tensor = |(s, node): (&Shape, &super::architecture::Node)| DeviceTensor::new(gpu, &node.name, *s);
-                shapes.iter().zip(architecture.nodes()).map(tensor).collect::<Result<Vec<_>>>()?
+                layout.shapes.iter().zip(architecture.nodes()).map(tensor).collect::<Result<Vec<_>>>()?
             }
             Memory::Shared => {
-                let bytes: Vec<u64> = shapes.iter().map(Shape::bytes).collect();
-                let (offsets, total) = places(&bytes, &last_uses(architecture, &jobs));
+                let (offsets, total) = layout.arena(architecture);
                 let arena = gpu.buffer("activations", total)?;
                 let tensor = |(s, at): (&Shape, &u64)| DeviceTensor { shape: *s, slice: arena.slice(*at, s.bytes()) };
-                shapes.iter().zip(&offsets).map(tensor).collect()
+                layout.shapes.iter().zip(&offsets).map(tensor).collect()
             }
         };
-        Ok(Self { gpu: gpu.clone(), family, fusion, jobs, values })
+        Ok(Self { gpu: gpu.clone(), family, fusion, jobs: layout.jobs, values })
     }
 
     /// Where the network's input goes.
@@ -211,7 +276,7 @@ impl Plan {
     /// Records the forward pass.
     ///
     /// # Panics
-    /// Where the parameters are for other kernels, or, made for training, lack what [`Fusion::Winograd`] reads.
+    /// Where the parameters are for other kernels.
     pub fn record(&self, rec: &mut Recorder, parameters: &Parameters) -> Result<()> {
         (0..self.jobs.len()).try_for_each(|id| self.record_node(rec, parameters, id))
     }
@@ -255,9 +320,8 @@ impl Plan {
             |(i, id): (usize, &NodeId)| winograd::Operand { x: &self.values[*id], upsampled: i == 0 && upsampled };
         let operands: Vec<_> = operands.iter().enumerate().map(operand).collect();
         let pass = winograd::Pass {
-            layer: conv.layer,
             operands: &operands,
-            weight: conv.winograd.as_ref().expect("parameters made for inference"),
+            weight: conv.winograd.as_ref().expect("made where the layer fits"),
             bias: &conv.bias,
             y: &self.values[id],
             slope: slope.unwrap_or(1.0),

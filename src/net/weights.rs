@@ -1,6 +1,7 @@
 //! Weights: safetensors files, their validation, and the initial weights of training.
 
 use super::architecture::{Architecture, NAMES, TensorSpec};
+use super::base::Widths;
 use super::tensor::{hash, seed_of, uniform};
 use crate::image::file::write_atomically;
 use crate::{Error, Result};
@@ -61,7 +62,7 @@ impl Weights {
         let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
         let mut metadata: BTreeMap<_, _> = header.metadata().clone().unwrap_or_default().into_iter().collect();
-        let architecture = choose(metadata.remove(ARCHITECTURE), file, expected)?;
+        let architecture = choose(metadata.remove(ARCHITECTURE), &tensors, file, expected)?;
         let specs = architecture.tensors();
         if let Some(extra) = extra(&tensors, &specs) {
             let view = tensors.tensor(extra).map_err(broken)?;
@@ -120,7 +121,8 @@ impl Weights {
     }
 }
 
-fn read(path: &Path) -> Result<Vec<u8>> {
+/// The bytes of a weights file; none that is too large for one is read.
+pub fn read(path: &Path) -> Result<Vec<u8>> {
     let bytes = std::fs::metadata(path).map_err(|e| Error::io(path, e))?.len();
     if bytes > MAX_FILE_BYTES {
         return Err(Error::input(format!("{}: {bytes} bytes are too many for a weights file", path.display())));
@@ -128,8 +130,13 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(|e| Error::io(path, e))
 }
 
-/// The architecture that the file names, checked against the expected one.
-fn choose(found: Option<String>, file: &str, expected: Option<&Architecture>) -> Result<Architecture> {
+/// The architecture that the file names, checked against the expected one. The widths of `base` are its tensors'.
+fn choose(
+    found: Option<String>,
+    tensors: &SafeTensors,
+    file: &str,
+    expected: Option<&Architecture>,
+) -> Result<Architecture> {
     let wanted = expected.map_or_else(|| NAMES.join(" or "), |a| a.name().to_owned());
     let Some(found) = found else {
         return Err(Error::input(format!(
@@ -138,6 +145,12 @@ fn choose(found: Option<String>, file: &str, expected: Option<&Architecture>) ->
     };
     match expected {
         Some(architecture) if architecture.name() == found => Ok(architecture.clone()),
+        None if found == "base" => {
+            let shape = |name: &str| tensors.tensor(&format!("{name}.weight")).ok().map(|view| view.shape().to_vec());
+            let channels_out = |name: &str| shape(name).filter(|shape| shape.len() == 4).map(|shape| shape[0]);
+            let architecture = Widths::read(channels_out).and_then(|widths| Architecture::base(&widths));
+            architecture.map_err(|e| Error::input(format!("{file}: {e}")))
+        }
         None if NAMES.contains(&found.as_str()) => Architecture::named(&found),
         _ => Err(Error::input(format!("{file}: architecture: expected {wanted}, found `{found}`"))),
     }

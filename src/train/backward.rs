@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
 use crate::net::architecture::{NodeId, Op};
 use crate::net::device::{DeviceTensor, Shape};
-use crate::net::kernel::conv2d;
+use crate::net::kernel::{conv2d, winograd};
 use crate::net::parameters::Parameters;
 use crate::net::plan::Plan;
 
@@ -111,9 +111,14 @@ impl Backward {
         conv_grad::weight_grad(&self.gpu, rec, conv.layer, &self.scratch, &plan.values[input], dy, &weight_grad)?;
         conv_grad::bias_grad(&self.gpu, rec, conv.layer, &self.scratch, dy, &flat(&conv.bias, conv.at.1))?;
         let weight = conv.packed_transposed.as_ref().expect("parameters made for training");
-        self.into(rec, written, input, |rec, dx| {
-            let pass = conv2d::Pass { x: dy, weight, bias: &self.zero_bias, y: dx, slope: 1.0 };
-            conv2d::record(&self.gpu, rec, family, &pass)
+        let bias = &self.zero_bias;
+        self.into(rec, written, input, |rec, dx| match &conv.winograd_transposed {
+            Some(weight) => {
+                let operands = [winograd::Operand { x: dy, upsampled: false }];
+                let pass = winograd::Pass { operands: &operands, weight, bias, y: dx, slope: 1.0 };
+                winograd::record(&self.gpu, rec, family, &pass)
+            }
+            None => conv2d::record(&self.gpu, rec, family, &conv2d::Pass { x: dy, weight, bias, y: dx, slope: 1.0 }),
         })
     }
 

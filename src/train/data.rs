@@ -3,7 +3,7 @@
 //! A pool holds examples: a window of a frame with its reference and four noisy versions, two of each estimator. Which
 //! example, crop and orientation a step uses follows from (seed, step), so that a run can be repeated and resumed.
 
-use crate::denoise::{Crop, FrameStats, record_input};
+use crate::denoise::{Axes, Crop, Frame, FrameStats, Guides, Inputs, Preparation, record_input};
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
 use crate::net::device::{DeviceTensor, groups};
 use crate::net::tensor::hash;
@@ -109,7 +109,7 @@ fn draws(seed: u64, stream: Stream, index: u64) -> impl Fn(u64) -> u64 {
 struct Example {
     noisy: [Slice; 4],
     reference: Slice,
-    screen: Slice,
+    guides: Guides,
     stats: Slice,
 }
 
@@ -117,6 +117,7 @@ struct Example {
 pub struct Data {
     gpu: Gpu,
     settings: DataSettings,
+    preparation: Preparation,
     examples: Vec<Example>,
     made: u64,
     noisy: [Option<Renderer>; 2],
@@ -150,31 +151,41 @@ fn render<'a>(
 }
 
 impl Data {
-    /// An empty pool for a network of this alignment.
-    pub fn new(gpu: &Gpu, settings: &DataSettings, alignment: u32) -> Result<Self> {
+    /// An empty pool for a network of this alignment, which reads frames prepared so.
+    pub fn new(gpu: &Gpu, settings: &DataSettings, preparation: Preparation, alignment: u32) -> Result<Self> {
         settings.check(alignment)?;
         let frame = u64::from(settings.window) * u64::from(settings.window) * 16;
         let frame = frame.next_multiple_of(256);
-        let each = frame * 6 + 256;
+        let guides = match preparation.inputs {
+            Inputs::NormalScreenDepth => 1,
+            Inputs::AlbedoNormal => 2,
+        };
+        let each = frame * (5 + guides) + 256;
         let pool = gpu.buffer("training pool", each * u64::from(settings.pool))?;
         let example = |i: u64| {
             let part = |k: u64| pool.slice(i * each + k * frame, frame);
             Example {
                 noisy: std::array::from_fn(|k| part(k as u64)),
                 reference: part(4),
-                screen: part(5),
-                stats: pool.slice(i * each + 6 * frame, 16),
+                guides: match preparation.inputs {
+                    Inputs::NormalScreenDepth => Guides::NormalScreenDepth { screen: part(5) },
+                    Inputs::AlbedoNormal => {
+                        Guides::AlbedoNormal { albedo: part(5), normal_world: part(6), axes: Axes::default() }
+                    }
+                },
+                stats: pool.slice(i * each + (5 + guides) * frame, 16),
             }
         };
         Ok(Self {
             gpu: gpu.clone(),
             settings: settings.clone(),
+            preparation,
             examples: (0..u64::from(settings.pool)).map(example).collect(),
             made: 0,
             noisy: [None, None],
             reference: None,
             overview: None,
-            frame_stats: FrameStats::new(gpu, OVERVIEW, OVERVIEW)?,
+            frame_stats: FrameStats::new(gpu, preparation.transfer, OVERVIEW, OVERVIEW)?,
             _pool: pool,
         })
     }
@@ -218,9 +229,12 @@ impl Data {
         (scene.camera.width, scene.camera.height) = (OVERVIEW, OVERVIEW);
         let overview = settings(self.settings.spp, Estimator::Nee, Sampler::Sobol, draw(4));
         let outputs = render(&gpu, &mut self.overview, &scene, None, &overview)?.outputs()?;
-        let example = &self.examples[(index % u64::from(self.settings.pool)) as usize];
+        let axes = Axes::of(&scene.camera);
+        let example = &mut self.examples[(index % u64::from(self.settings.pool)) as usize];
+        example.guides.set_axes(axes);
         let mut rec = gpu.recorder();
-        self.frame_stats.record(&mut rec, &outputs.radiance, &outputs.screen, &example.stats)?;
+        let guides = Guides::of(&outputs, self.preparation.inputs, axes);
+        self.frame_stats.record(&mut rec, &outputs.radiance, &guides, &example.stats)?;
         rec.finish()?.run()?;
 
         (scene.camera.width, scene.camera.height) = (window, window);
@@ -235,7 +249,10 @@ impl Data {
         for (k, (estimator, sampler)) in NOISE.into_iter().enumerate() {
             let noisy = settings(self.settings.spp, estimator, sampler, draw(5 + k as u64));
             let outputs = render(&gpu, &mut self.noisy[k % 2], &scene, Some(film), &noisy)?.outputs()?;
-            copy(&[(&outputs.radiance, &example.noisy[k]), (&outputs.screen, &example.screen)])?;
+            let guides = Guides::of(&outputs, self.preparation.inputs, axes);
+            let mut pairs = guides.planes().into_iter().zip(example.guides.planes()).collect::<Vec<_>>();
+            pairs.push((&outputs.radiance, &example.noisy[k]));
+            copy(&pairs)?;
         }
         let reference = settings(self.settings.reference_spp, Estimator::Nee, Sampler::Sobol, draw(9));
         let outputs = render(&gpu, &mut self.reference, &scene, Some(film), &reference)?.outputs()?;
@@ -259,8 +276,9 @@ impl Data {
                 let bytes = t.shape.bytes() / u64::from(s.batch);
                 t.slice.slice(i * bytes, bytes)
             };
-            let frame = [noisy, &example.screen, &example.stats];
-            record_input(&self.gpu, &mut rec, frame, (s.window, s.window), crop, &part(input))?;
+            let (guides, stats) = (&example.guides, &example.stats);
+            let frame = Frame { radiance: noisy, guides, stats, size: (s.window, s.window) };
+            record_input(&self.gpu, &mut rec, self.preparation.transfer, &frame, crop, &part(input))?;
             self.record_target(&mut rec, example, crop, part(target))?;
         }
         rec.finish()?.run()?;
@@ -268,7 +286,8 @@ impl Data {
     }
 
     fn record_target(&self, rec: &mut Recorder, example: &Example, crop: Crop, y: Slice) -> Result<()> {
-        let kernel = self.gpu.kernel::<shaders::network_target::Shader>(&Default::default())?;
+        let transfer = self.preparation.transfer.id();
+        let kernel = self.gpu.kernel::<shaders::network_target::Shader>(&shaders::network_target::Spec { transfer })?;
         let push = TargetPush {
             count: crop.width * crop.height,
             width: self.settings.window as i32,

@@ -4,7 +4,7 @@ use super::adam::Adam;
 use super::data::{Data, DataSettings};
 use super::schedule::rate;
 use super::step::{Moments, Step};
-use crate::denoise::{INPUTS, TRANSFER};
+use crate::denoise::Preparation;
 use crate::gpu::Gpu;
 use crate::net::architecture::Architecture;
 use crate::net::kernel::Family;
@@ -32,7 +32,7 @@ pub const FIRST_LOSSES: &str = "first_losses";
 /// Everything that a run is, but for its parameters and moments.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunState {
-    /// Architecture.
+    /// Architecture, as [`Architecture::specification`] has it.
     pub architecture: String,
     /// Data.
     pub data: DataSettings,
@@ -130,6 +130,7 @@ pub struct Run {
     /// What it is and how far it has come.
     pub state: RunState,
     architecture: Architecture,
+    preparation: Preparation,
     data: Data,
     step: Step,
 }
@@ -140,12 +141,13 @@ impl Run {
         let s = &state.data;
         let size = (s.batch, s.crop, s.crop);
         let adam = Adam { learning_rate: state.learning_rate, ..Adam::default() };
-        let data = Data::new(gpu, s, weights.architecture.alignment() as u32)?;
+        let preparation = Preparation::of_architecture(&weights.architecture)?;
+        let data = Data::new(gpu, s, preparation, weights.architecture.alignment() as u32)?;
         let mut step = Step::new(gpu, Family::choose(gpu.info()), weights, size, adam)?;
         if let Some(moments) = moments {
             step.set_moments(moments)?;
         }
-        Ok(Self { state, architecture: weights.architecture.clone(), data, step })
+        Ok(Self { state, architecture: weights.architecture.clone(), preparation, data, step })
     }
 
     /// Renders what the next step needs; `progress(done, all)` is called after each example.
@@ -187,8 +189,6 @@ impl Run {
         run.first_losses.clear();
         let run = serde_json::to_string(&run).map_err(|e| Error::input(format!("run settings: {e}")))?;
         let metadata = [
-            (INPUTS.0, INPUTS.1.to_owned()),
-            (TRANSFER.0, TRANSFER.1.to_owned()),
             ("family_version", FAMILY_VERSION.to_string()),
             ("command", command.to_owned()),
             ("commit", option_env!("LIMPID_COMMIT").unwrap_or("unknown").to_owned()),
@@ -201,6 +201,7 @@ impl Run {
             (RUN, run),
         ];
         weights.metadata.extend(metadata.map(|(k, v)| (k.to_owned(), v)));
+        weights.metadata.extend(self.preparation.metadata());
         Ok(weights)
     }
 }

@@ -56,7 +56,7 @@ impl Step {
     /// Tensors and commands for batches of `n` crops of `h` x `w` pixels.
     pub fn new(gpu: &Gpu, family: Family, weights: &Weights, size: (u32, u32, u32), adam: Adam) -> Result<Self> {
         let parameters = Parameters::new(gpu, family, weights, true)?;
-        let plan = Plan::new(gpu, &weights.architecture, family, size, Memory::Kept, Fusion::Activation)?;
+        let plan = Plan::new(gpu, &weights.architecture, family, size, Memory::Kept, Fusion::training(family))?;
         let backward = Backward::new(gpu, &parameters, &plan)?;
         let shape = plan.output().shape;
         let target = DeviceTensor::new(gpu, "target", shape.with_channels(Channels::new(3)))?;
@@ -105,6 +105,12 @@ impl Step {
         };
         rec.dispatch(&kernel, &bind, &push, groups(u64::from(count)));
         parameters.record_pack(rec)
+    }
+
+    /// The forward pass, whose values are all kept.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
     }
 
     /// Where the batch's network inputs go.

@@ -1,7 +1,7 @@
 //! Runs the binary in a folder of its own.
 #![allow(dead_code)]
 
-use limpid::denoise::{INPUTS, TRANSFER};
+use limpid::denoise::Preparation;
 use limpid::image::{Image, exr};
 use limpid::net::architecture::Architecture;
 use limpid::net::weights::Weights;
@@ -124,8 +124,13 @@ impl Cli {
 
     /// Writes weights as they are before training; what comes out is no good picture, but it is one.
     pub fn weights(&self) {
-        let mut weights = Weights::glorot(&Architecture::seed(), 1);
-        weights.metadata.extend([INPUTS, TRANSFER].map(|(key, value)| (key.to_owned(), value.to_owned())));
-        weights.save(Path::new(&self.path("w.safetensors"))).expect("saved");
+        self.weights_of(&Architecture::seed(), "w.safetensors");
+    }
+
+    /// The same of any architecture.
+    pub fn weights_of(&self, architecture: &Architecture, name: &str) {
+        let mut weights = Weights::glorot(architecture, 1);
+        weights.metadata.extend(Preparation::of_architecture(architecture).expect("known inputs").metadata());
+        weights.save(Path::new(&self.path(name))).expect("saved");
     }
 }

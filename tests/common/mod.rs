@@ -43,3 +43,13 @@ pub fn padding_is_zero(gpu: &Gpu, tensor: &DeviceTensor) -> Result<(), String> {
     let stray = (0..floats.len()).find(|i| floats[*i] != 0.0 && !used.contains(&place(*i)));
     stray.map_or(Ok(()), |i| Err(format!("padding channel {} holds {}", place(i), floats[i])))
 }
+
+/// Floats of `[row][planes][width]` texels as `[row][width][planes]`: pixel after pixel.
+pub fn by_pixel(floats: &[f32], width: usize, planes: usize) -> Vec<f32> {
+    let texel = |row: usize, x: usize, plane: usize| &floats[((row * planes + plane) * width + x) * 4..][..4];
+    let rows = floats.len() / (width * planes * 4);
+    (0..rows * width * planes)
+        .flat_map(|i| texel(i / (width * planes), i / planes % width, i % planes))
+        .copied()
+        .collect()
+}

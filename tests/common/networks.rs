@@ -4,6 +4,7 @@
 use super::goldens;
 use limpid::gpu::{Gpu, hazard};
 use limpid::net::architecture::{Architecture, Op, Row};
+use limpid::net::base::Widths;
 use limpid::net::kernel::Family;
 use limpid::net::parameters::Parameters;
 use limpid::net::plan::{Fusion, Memory, Plan};
@@ -34,6 +35,13 @@ pub fn tiny() -> Architecture {
         ("out", linear(15, 3), &["concat"]),
     ];
     Architecture::from_rows("tiny", rows).expect("the rows fit")
+}
+
+/// `base` of widths that are small, mostly differ, and at some layers suffice for the kernels of wide ones: after an upsampled
+/// value joined to a pooled one (dec_conv4a) and to the network's input (dec_conv1a).
+pub fn small_base() -> Architecture {
+    let widths = Widths::from_array([16, 32, 16, 32, 48, 48, 32, 16, 48, 48, 16]);
+    Architecture::base(&widths).expect("the widths are right")
 }
 
 /// 60 channels at full size, joined to 120, then `tail`: at large sizes its tensors exceed a storage binding.

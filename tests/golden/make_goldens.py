@@ -148,6 +148,20 @@ def seed(net, x):
     return net.conv("out_conv", y, 3, slope=None)
 
 
+def base(net, x):
+    """Widths of tests/common/networks.rs, `small_base`."""
+    conv = lambda name, x, cout: net.conv(name, x, cout, slope=0.0)
+    pool = lambda x: F.max_pool2d(x, 2)
+    pool1 = pool(conv("enc_conv1", conv("enc_conv0", x, 16), 16))
+    pool2 = pool(conv("enc_conv2", pool1, 32))
+    pool3 = pool(conv("enc_conv3", pool2, 16))
+    pool4 = pool(conv("enc_conv4", pool3, 32))
+    y = conv("enc_conv5b", conv("enc_conv5a", pool4, 48), 48)
+    for level, skip, widths in [(4, pool3, (48, 48)), (3, pool2, (32, 32)), (2, pool1, (16, 48)), (1, x, (48, 16))]:
+        y = conv(f"dec_conv{level}b", conv(f"dec_conv{level}a", up_cat(y, skip), widths[0]), widths[1])
+    return net.conv("dec_conv0", y, 3, slope=None)
+
+
 def tiny(net, x):
     skip = net.conv("enc", x, 3)
     middle = net.conv("middle", F.max_pool2d(skip, 2), 4)
@@ -196,6 +210,8 @@ def main():
         layer_golden(layers, *row)
     network_golden(networks, "seed", seed, 1, 6, 32, 32)
     network_golden(networks, "seed", seed, 2, 6, 64, 32)
+    network_golden(networks, "base", base, 1, 9, 32, 32)
+    network_golden(networks, "base", base, 2, 9, 48, 16)
     network_golden(networks, "tiny", tiny, 3, 2, 6, 4)
     adam_golden(networks)
     for stem, tensors in [("layers", layers), ("networks", networks)]:

@@ -9,13 +9,13 @@
 
 use super::{Family, conv2d::Layer, conv2d::tile_windows};
 use crate::gpu::{Gpu, Recorder, Slice};
-use crate::net::device::{DeviceTensor, groups};
+use crate::net::device::{Channels, DeviceTensor, groups};
 use crate::{Result, push_block, shaders};
 
 push_block! {
     /// Push constants of `winograd_weights.comp`.
     pub struct WeightsPush for shaders::winograd_weights {
-        cin: u32, cout: u32, lanes: u32, in4: u32, count: u32, segment: u32, segment_padded: u32,
+        cin: u32, cout: u32, lanes: u32, in4: u32, blocks: u32, count: u32, transposed: u32, segment: u32, segment_padded: u32,
     }
 }
 
@@ -30,7 +30,7 @@ push_block! {
 /// Products of one output tile of a channel pair: 6x6.
 const POSITIONS: u64 = 36;
 /// Side of an output tile, pixels.
-const TILE: u32 = 4;
+pub const TILE: u32 = 4;
 /// Invocations of a workgroup.
 const LOCAL: u32 = 64;
 
@@ -38,25 +38,32 @@ const LOCAL: u32 = 64;
 /// cost as the other. Measured on llvmpipe at 768x768: 32 to 32 channels lose a third, 57 to 57 gain nothing, 64 to 128 gain half.
 const WORTH: u32 = 12;
 
-/// Whether a convolution runs by Winograd: on CPU drivers where it is faster.
+/// The deepest level of a network with Winograd convolutions. Their results depend, in their last bits, on their whole
+/// aligned tile's patch: deeper, where there is little to gain, tiles of a frame would need far more overlap.
+const MAX_LEVEL: usize = 1;
+
+/// Whether a convolution at a level of a network runs by Winograd: on CPU drivers, where it is faster. The same for its
+/// input gradient.
 #[must_use]
-pub fn fits(family: Family, layer: Layer) -> bool {
+pub fn fits(family: Family, layer: Layer, level: usize) -> bool {
     let (cin, cout) = (layer.input.count(), layer.cout);
-    matches!(family, Family::Cpu { .. }) && cin * cout >= WORTH * (cin + cout)
+    matches!(family, Family::Cpu { .. }) && level <= MAX_LEVEL && cin * cout >= WORTH * (cin + cout)
 }
 
-/// Bytes of the transformed weights.
+/// Bytes of the transformed weights, those for the input gradient where `transposed`.
 #[must_use]
-pub fn weights_bytes(family: Family, layer: Layer) -> u64 {
-    weights_texels(family, layer) * 16
+pub fn weights_bytes(family: Family, layer: Layer, transposed: bool) -> u64 {
+    weights_texels(family, layer, transposed) * 16
 }
 
-fn weights_texels(family: Family, layer: Layer) -> u64 {
-    POSITIONS * u64::from(blocks(family, layer)) * u64::from(layer.input.texels()) * u64::from(family.lanes())
+fn weights_texels(family: Family, layer: Layer, transposed: bool) -> u64 {
+    let (read, written) = layer.direction(transposed);
+    POSITIONS * u64::from(blocks(family, written)) * u64::from(read.texels()) * u64::from(family.lanes())
 }
 
-fn blocks(family: Family, layer: Layer) -> u32 {
-    layer.cout.div_ceil(family.lanes())
+/// Blocks of as many output channels as there are lanes.
+fn blocks(family: Family, written: Channels) -> u32 {
+    (written.texels() * 4).div_ceil(family.lanes())
 }
 
 /// Records the transformation of OIHW `weight`.
@@ -67,15 +74,19 @@ pub fn transform_weights(
     layer: Layer,
     weight: &Slice,
     out: &Slice,
+    transposed: bool,
 ) -> Result<()> {
+    let (read, written) = layer.direction(transposed);
     let (segment, segment_padded) = layer.input.segment();
-    let count = weights_texels(family, layer);
+    let count = weights_texels(family, layer, transposed);
     let push = WeightsPush {
         cin: layer.input.count(),
         cout: layer.cout,
         lanes: family.lanes(),
-        in4: layer.input.texels(),
+        in4: read.texels(),
+        blocks: blocks(family, written),
         count: count as u32,
+        transposed: u32::from(transposed),
         segment,
         segment_padded,
     };
@@ -101,8 +112,6 @@ pub struct Operand<'a> {
 
 /// Operands of one convolution.
 pub struct Pass<'a> {
-    /// The channels.
-    pub layer: Layer,
     /// What is read, channel after channel.
     pub operands: &'a [Operand<'a>],
     /// Transformed weights.
@@ -118,18 +127,17 @@ pub struct Pass<'a> {
 /// Records `y = leaky_relu(conv(operands) + bias)`.
 ///
 /// # Panics
-/// Where the operands are not one or two that make up the layer's input, or another than the first is upsampled.
+/// Where the operands are not one or two, or another than the first is upsampled.
 pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, pass: &Pass<'_>) -> Result<()> {
     let lanes = family.lanes();
     let channels: Vec<u32> = pass.operands.iter().map(|o| o.x.shape.c.texels()).collect();
-    assert_eq!(channels.iter().sum::<u32>(), pass.layer.input.texels(), "the operands make up the layer's input");
     assert!(pass.operands.iter().skip(1).all(|o| !o.upsampled), "only the first operand may be upsampled");
     let (first, second) = match pass.operands {
         [first] => (first, first),
         [first, second] => (first, second),
         _ => panic!("{} operands", pass.operands.len()),
     };
-    let blocks = blocks(family, pass.layer);
+    let blocks = blocks(family, pass.y.shape.c);
     let group = group(blocks);
     let two = channels.len() == 2;
     let spec = shaders::winograd::Spec { l: lanes, group, upsampled: first.upsampled, two };

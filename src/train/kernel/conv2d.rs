@@ -73,7 +73,10 @@ fn split(family: Family, layer: Layer, x: &Shape) -> Split {
             (u64::from(strips) * u64::from(x.h + 1), strips)
         }
     };
-    let parallel = cin4 * u64::from(co_blocks);
+    let parallel = match family {
+        Family::Portable => cin4,
+        Family::Cpu { .. } => cin4.div_ceil(2),
+    } * u64::from(co_blocks);
     let splits = iterations.div_ceil(MAX_ITERATIONS).max(MIN_PARALLEL.div_ceil(parallel));
     Split { splits: splits.min(u64::from(most)) as u32, co_blocks }
 }
@@ -140,7 +143,7 @@ pub fn weight_grad(
             let kernel = gpu.kernel_with_subgroup::<shaders::conv2d_weight_grad_cpu::Shader>(&spec, lanes)?;
             let bind = shaders::conv2d_weight_grad_cpu::Bind { x: x.slice.clone(), dyt, partial: partial.clone() };
             let push = CpuPush { batch: s.n, height: s.h, width: s.w, cin4, cout, co_blocks, splits };
-            rec.dispatch(&kernel, &bind, &push, [(cin4 * splits).div_ceil(LOCAL / lanes), co_blocks, 1]);
+            rec.dispatch(&kernel, &bind, &push, [(cin4.div_ceil(2) * splits).div_ceil(LOCAL / lanes), co_blocks, 1]);
         }
     }
     let (segment, segment_padded) = layer.input.segment();

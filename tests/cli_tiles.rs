@@ -1,0 +1,101 @@
+//! `--tile` and `--max-memory` of `limpid denoise` and `limpid render --denoise`.
+
+mod cli_support;
+
+use cli_support::Cli;
+
+const WEIGHTS: [&str; 2] = ["--weights", "w.safetensors"];
+
+/// A noisy picture and its reconstruction as a whole.
+fn rendered(cli: &Cli) {
+    cli.weights();
+    cli.render(&["spheres:5", "--size", "403x61", "--spp", "1", "-o", "noisy.exr"]);
+    cli.ok(&[&["denoise", "noisy.exr", "-o", "whole.exr"], &WEIGHTS[..]].concat());
+}
+
+fn same(cli: &Cli, a: &str, b: &str) {
+    for end in ["exr", "png", "compare.png"] {
+        assert_eq!(cli.bytes(&format!("{a}.{end}")), cli.bytes(&format!("{b}.{end}")), "{a} and {b}: {end}");
+    }
+}
+
+#[test]
+fn tiles_write_the_same_files() {
+    let cli = Cli::new();
+    rendered(&cli);
+    let denoise = |output: &str, flags: &[&str]| {
+        let common = ["denoise", "noisy.exr", "-o", output, "--validation", "--json"];
+        cli.json(&[&common[..], &WEIGHTS, flags].concat())
+    };
+    let whole = denoise("a.exr", &[]);
+    same(&cli, "a", "whole");
+    assert_eq!((&whole["tiling"]["tiles"], &whole["tiling"]["core"][0]), (&1.into(), &403.into()));
+    assert_eq!((&whole["settings"]["tile"], &whole["settings"]["max_memory_mib"]), (&().into(), &().into()));
+    // Everything that the device held.
+    assert_eq!(whole["tiling"]["device_bytes"], whole["peak_device_bytes"]);
+
+    let tiled = denoise("b.exr", &["--tile", "32"]);
+    same(&cli, "b", "whole");
+    let tiling = &tiled["tiling"];
+    assert!(tiling["tiles"].as_u64().unwrap() > 1 && tiling["core"][0] == 32, "{tiling}");
+    assert_eq!(tiling["window"][0].as_u64().unwrap(), 32 + 2 * tiling["overlap"].as_u64().unwrap());
+    assert_eq!(tiling["device_bytes"], tiled["peak_device_bytes"]);
+    assert_eq!(tiled["settings"]["tile"], 32);
+
+    let mib = whole["peak_device_bytes"].as_u64().unwrap() >> 20;
+    let bounded = denoise("c.exr", &["--max-memory", &mib.to_string()]);
+    same(&cli, "c", "whole");
+    assert!(bounded["tiling"]["tiles"].as_u64().unwrap() > 1, "{}", bounded["tiling"]);
+    assert!(bounded["peak_device_bytes"].as_u64().unwrap() <= mib << 20, "{bounded}");
+    assert_eq!(bounded["settings"]["max_memory_mib"], mib);
+}
+
+#[test]
+fn a_render_is_reconstructed_in_tiles_too() {
+    let cli = Cli::new();
+    rendered(&cli);
+    let args = ["spheres:5", "--size", "403x61", "--spp", "1", "--denoise", "--tile", "32", "-o", "a.exr"];
+    let report = cli.report(&[&args[..], &WEIGHTS].concat());
+    same(&cli, "a", "whole");
+    assert!(report["tiling"]["tiles"].as_u64().unwrap() > 1, "{}", report["tiling"]);
+}
+
+#[test]
+fn demands_that_cannot_be_met() {
+    let cli = Cli::new();
+    rendered(&cli);
+    let fails = |flags: &[&str], parts: &[&str]| {
+        let common = ["denoise", "noisy.exr", "-o", "a.exr"];
+        cli.fails(&[&common[..], &WEIGHTS, flags].concat(), 2, parts);
+        let common = ["render", "--size", "403x61", "--spp", "1", "--denoise", "-o", "a.exr"];
+        cli.fails(&[&common[..], &WEIGHTS, flags].concat(), 2, parts);
+    };
+    fails(&["--tile", "100"], &["--tile 100", "multiple of 32", "96 or 128"]);
+    fails(&["--tile", "0"], &["--tile", "1.."]);
+    fails(&["--tile", "4294967296"], &["--tile"]);
+    fails(&["--max-memory", "0"], &["--max-memory", "1.."]);
+    fails(&["--max-memory", "1"], &["403x61", "1 MiB", "needs --max-memory"]);
+    fails(&["--tile", "32", "--max-memory", "2"], &["--tile 32", "--max-memory 2", "would do"]);
+    cli.fails(&["render", "--tile", "32"], 2, &["--denoise"]);
+    cli.fails(&["render", "--max-memory", "32"], 2, &["--denoise"]);
+}
+
+/// A network that reads albedo and world-space normals.
+#[test]
+fn base_in_tiles_too() {
+    let cli = Cli::new();
+    let base = limpid::net::architecture::Architecture::named("base").expect("an architecture");
+    cli.weights_of(&base, "base.safetensors");
+    let scene = ["spheres:5", "--size", "403x61", "--spp", "1"];
+    cli.render(&[&scene[..], &["-o", "noisy.exr"]].concat());
+    let weights = ["--weights", "base.safetensors"];
+    cli.ok(&[&["denoise", "noisy.exr", "-o", "whole.exr", "--validation"], &weights[..]].concat());
+    let report = cli.json(&[&["denoise", "noisy.exr", "-o", "a.exr", "--tile", "32", "--json"], &weights[..]].concat());
+    assert!(report["tiling"]["tiles"].as_u64().unwrap() > 1, "{}", report["tiling"]);
+    assert_eq!(report["tiling"]["device_bytes"], report["peak_device_bytes"]);
+    same(&cli, "a", "whole");
+    for (output, flags) in [("b", &["--denoise"][..]), ("c", &["--denoise", "--tile", "32"])] {
+        cli.render(&[&scene[..], flags, &weights, &["-o", &format!("{output}.exr")]].concat());
+        same(&cli, output, "whole");
+    }
+}
