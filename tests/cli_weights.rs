@@ -19,11 +19,19 @@ fn base() -> Architecture {
 fn conversion_to_tza_and_back_keeps_all_bits() {
     let cli = Cli::new();
     cli.weights_of(&Architecture::base(&Widths::open_image_denoise()).unwrap(), "b.safetensors");
-    cli.ok(&["weights", "convert", "b.safetensors", "b.tza"]);
-    cli.ok(&["weights", "convert", "b.tza", "c.safetensors"]);
+    let convert =
+        |from: &str, to: &str, args: &[&str]| drop(cli.ok(&[&["weights", "convert", from, to], args].concat()));
+    convert("b.safetensors", "b.tza", &["--precision", "fp32"]);
+    convert("b.tza", "c.safetensors", &[]);
     assert_eq!(cli.bytes("c.safetensors"), cli.bytes("b.safetensors"));
-    cli.ok(&["weights", "convert", "c.safetensors", "c.tza"]);
+    convert("c.safetensors", "c.tza", &["--precision", "fp32"]);
     assert_eq!(cli.bytes("c.tza"), cli.bytes("b.tza"));
+    // Half precision is the default, and exact once it is rounded.
+    convert("b.safetensors", "h.tza", &[]);
+    assert!(cli.bytes("h.tza").len() < cli.bytes("b.tza").len() * 6 / 10);
+    convert("h.tza", "h.safetensors", &[]);
+    convert("h.safetensors", "i.tza", &[]);
+    assert_eq!(cli.bytes("i.tza"), cli.bytes("h.tza"));
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use limpid::Error;
 use limpid::net::architecture::Architecture;
 use limpid::net::base::Widths;
-use limpid::net::tza;
+use limpid::net::tza::{self, Precision};
 use limpid::net::weights::Weights;
 use proptest::prelude::*;
 
@@ -79,12 +79,12 @@ fn what_is_written_is_read_to_the_same_bits() {
         let mut weights = weights(widths);
         weights.parameters[5] = -0.0;
         weights.parameters[6] = f32::MIN_POSITIVE / 2.0;
-        let bytes = tza::to_bytes(&weights).unwrap();
+        let bytes = tza::to_bytes(&weights, Precision::Single).unwrap();
         let read = tza::from_bytes(&bytes, "w.tza").unwrap();
         assert_eq!(read.architecture, weights.architecture);
         let bits = |weights: &Weights| weights.parameters.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         assert!(bits(&read) == bits(&weights));
-        assert!(tza::to_bytes(&read).unwrap() == bytes);
+        assert!(tza::to_bytes(&read, Precision::Single).unwrap() == bytes);
     }
 }
 
@@ -92,7 +92,7 @@ fn what_is_written_is_read_to_the_same_bits() {
 #[test]
 fn the_bytes_are_those_of_the_format() {
     let weights = small();
-    let bytes = tza::to_bytes(&weights).unwrap();
+    let bytes = tza::to_bytes(&weights, Precision::Single).unwrap();
     let number = |at: usize, count: usize| bytes[at..at + count].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
     assert_eq!(bytes[..4], [0xd7, 0x41, 2, 0]);
     let mut at = number(4, 8) as usize;
@@ -134,6 +134,35 @@ fn a_file_of_another_writer_loads_and_half_precision_is_widened() {
         let read = tza::from_bytes(&bytes, "w.tza").unwrap();
         assert!(read.parameters.iter().all(|v| *v == expected), "{bits:x}");
     }
+}
+
+/// Rounded to nearest, ties to even: at most half of fp16's spacing off, and what fp16 holds keeps its value.
+#[test]
+fn half_precision_is_the_nearest() {
+    let mut weights = small();
+    // 2049 lies between 2048 and 2050; 2051 between 2050 and 2052; 2^-25 between 0 and 2^-24.
+    let pairs: [(f32, f32); 6] = [
+        (2049.0, 2048.0),
+        (2051.0, 2052.0),
+        (65519.0, 65504.0),
+        (2f32.powi(-25), 0.0),
+        (-0.0, -0.0),
+        (0.1, 0.099975586),
+    ];
+    pairs.iter().enumerate().for_each(|(i, (value, _))| weights.parameters[i] = *value);
+    let bytes = tza::to_bytes(&weights, Precision::Half).unwrap();
+    let read = tza::from_bytes(&bytes, "w.tza").unwrap();
+    pairs
+        .iter()
+        .enumerate()
+        .for_each(|(i, (_, half))| assert_eq!(read.parameters[i].to_bits(), half.to_bits(), "{half}"));
+    for (half, value) in read.parameters.iter().zip(&weights.parameters).skip(pairs.len()) {
+        assert!((half - value).abs() <= value.abs() / 2048.0 + 2f32.powi(-25), "{half} for {value}");
+    }
+    assert!(tza::to_bytes(&read, Precision::Half).unwrap() == bytes);
+    weights.parameters[3] = 65520.0;
+    let error = tza::to_bytes(&weights, Precision::Half).unwrap_err().to_string();
+    assert!(error.contains("`enc_conv0.weight`: 65520 at index 3"), "{error}");
 }
 
 #[test]
@@ -178,20 +207,20 @@ fn what_does_not_fit_is_named() {
     says(&text, &["`enc_conv0.weight`", "expected F32 [16, 9, 3, 3]", "found F32 [16, 3, 3, 3]"]);
     says(&message(b""), &["does not begin as a TZA file"]);
     says(&message(b"\x89PNG\r\n\x1a\n0123456789"), &["does not begin as a TZA file"]);
-    let mut bytes = tza::to_bytes(&weights).unwrap();
+    let mut bytes = tza::to_bytes(&weights, Precision::Single).unwrap();
     bytes[2] = 1;
     says(&message(&bytes), &["version 1"]);
     bytes[2] = 2;
     bytes[4..12].fill(0xff);
     says(&message(&bytes), &["the table", "past the end"]);
-    let error = tza::to_bytes(&Weights::glorot(&Architecture::seed(), 0)).unwrap_err().to_string();
+    let error = tza::to_bytes(&Weights::glorot(&Architecture::seed(), 0), Precision::Single).unwrap_err().to_string();
     says(&error, &["`seed`", "`base`"]);
 }
 
 #[test]
 fn every_truncation_is_an_input_error() {
     // The table lies at the end here, and at the beginning in the other.
-    let (ours, other) = (tza::to_bytes(&small()).unwrap(), file(&entries(&small(), b'f', single)));
+    let (ours, other) = (tza::to_bytes(&small(), Precision::Single).unwrap(), file(&entries(&small(), b'f', single)));
     for bytes in [&ours, &other] {
         let lengths = (0..2000).chain((2000..bytes.len()).step_by(997)).chain(bytes.len() - 900..bytes.len());
         lengths.for_each(|length| drop(message(&bytes[..length])));

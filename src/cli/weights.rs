@@ -1,10 +1,10 @@
 //! `limpid weights`: what a weights file holds, and conversion to and from Open Image Denoise's format.
 
 use super::report;
-use clap::Subcommand;
+use clap::{Subcommand, ValueEnum};
 use limpid::denoise::{Preparation, embedded_weights};
 use limpid::image::file::{writable, write_atomically};
-use limpid::net::tza;
+use limpid::net::tza::{self, Precision};
 use limpid::net::weights::{self, Weights};
 use limpid::{Error, Result};
 use serde_json::json;
@@ -23,7 +23,6 @@ enum What {
     ///
     /// The files' endings, .tza and .safetensors, give the direction. TZA has no metadata: its weights are taken to be for HDR
     /// radiance with albedo and normals (inputs `radiance,albedo,normal`, transfer `pu`), and only such weights become TZA.
-    /// fp16 is read as fp32; fp32 keeps its bits both ways.
     Convert {
         /// File to read
         #[arg(value_name = "IN")]
@@ -31,6 +30,9 @@ enum What {
         /// File to write
         #[arg(value_name = "OUT")]
         output: PathBuf,
+        /// Numbers of a .tza file to write: Open Image Denoise 2 reads fp16 alone; fp32 keeps all bits
+        #[arg(long, value_enum, default_value = "fp16")]
+        precision: PrecisionName,
     },
     /// Print architecture, parameters, cost and metadata
     Info {
@@ -41,6 +43,14 @@ enum What {
         #[arg(long)]
         json: bool,
     },
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PrecisionName {
+    /// Half precision
+    Fp16,
+    /// Single precision
+    Fp32,
 }
 
 /// Formats of weights files.
@@ -64,13 +74,13 @@ impl Format {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<u8> {
     match &args.what {
-        What::Convert { input, output } => convert(input, output)?,
+        What::Convert { input, output, precision } => convert(input, output, *precision)?,
         What::Info { file, json } => info(file.as_deref(), *json)?,
     }
     Ok(0)
 }
 
-fn convert(input: &Path, output: &Path) -> Result<()> {
+fn convert(input: &Path, output: &Path, precision: PrecisionName) -> Result<()> {
     let (from, to) = (Format::of(input)?, Format::of(output)?);
     if from == to {
         return Err(Error::input(format!(
@@ -91,7 +101,11 @@ fn convert(input: &Path, output: &Path) -> Result<()> {
             "{name}: Open Image Denoise's networks read `{inputs}` with the transfer `{transfer}`; these weights do not"
         )));
     }
-    let bytes = tza::to_bytes(&weights).map_err(|e| Error::input(format!("{name}: {e}")))?;
+    let precision = match precision {
+        PrecisionName::Fp16 => Precision::Half,
+        PrecisionName::Fp32 => Precision::Single,
+    };
+    let bytes = tza::to_bytes(&weights, precision).map_err(|e| Error::input(format!("{name}: {e}")))?;
     write_atomically(output, |out| out.write_all(&bytes).map_err(|e| Error::io(output, e)))
 }
 

@@ -124,8 +124,17 @@ pub fn from_bytes(bytes: &[u8], file: &str) -> Result<Weights> {
     Weights::from_bytes(&safetensors::serialize(views, Some(metadata)).map_err(error)?, file, None)
 }
 
-/// The bytes of a TZA file in fp32: the same for the same weights. The metadata stay behind.
-pub fn to_bytes(weights: &Weights) -> Result<Vec<u8>> {
+/// The numbers of a TZA file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Precision {
+    /// fp16, which Open Image Denoise 2 asks for; the nearest to each weight.
+    Half,
+    /// fp32, which keeps all bits and which Open Image Denoise 1 reads.
+    Single,
+}
+
+/// The bytes of a TZA file: the same for the same weights. The metadata stay behind.
+pub fn to_bytes(weights: &Weights, precision: Precision) -> Result<Vec<u8>> {
     let name = weights.architecture.name();
     if name != "base" {
         return Err(Error::input(format!("weights of `{name}`: Open Image Denoise has no such network, only `base`")));
@@ -144,9 +153,22 @@ pub fn to_bytes(weights: &Weights) -> Result<Vec<u8>> {
         table.push(shape.len() as u8);
         table.extend(shape.iter().flat_map(|side| (*side as u32).to_le_bytes()));
         table.extend(if shape.len() == 4 { &b"oihw"[..] } else { b"x" });
-        table.push(b'f');
+        let values = &weights.parameters[range];
+        table.push(if precision == Precision::Half { b'h' } else { b'f' });
         table.extend((bytes.len() as u64).to_le_bytes());
-        bytes.extend(weights.parameters[range].iter().flat_map(|value| value.to_le_bytes()));
+        match precision {
+            Precision::Single => bytes.extend(values.iter().flat_map(|value| value.to_le_bytes())),
+            Precision::Half => {
+                let halves = values.iter().map(|value| f16::from_f32(*value));
+                if let Some(i) = halves.clone().position(|half| !half.is_finite()) {
+                    return Err(Error::input(format!(
+                        "tensor `{name}`: {} at index {i} is too large for fp16",
+                        values[i]
+                    )));
+                }
+                bytes.extend(halves.flat_map(f16::to_le_bytes));
+            }
+        }
     }
     pad(&mut bytes);
     let offset = bytes.len() as u64;
