@@ -7,6 +7,7 @@ mod reflect;
 mod shared_constants;
 
 use std::fmt::Write as _;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
@@ -112,6 +113,7 @@ fn main() {
     let mut files = Vec::new();
     shader_files(Path::new("glsl"), &mut files);
     let mut rust = String::new();
+    let mut hasher = DefaultHasher::new();
     let mut stems = std::collections::BTreeSet::new();
     for file in &files {
         let source = fs::read_to_string(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
@@ -123,8 +125,10 @@ fn main() {
             .unwrap_or_else(|e| panic!("{e}"));
         let reflection = reflect::reflect(binary.as_binary());
         let spv = out_dir.join(format!("{stem}.spv"));
+        (&stem, binary.as_binary_u8()).hash(&mut hasher);
         fs::write(&spv, binary.as_binary_u8()).expect("OUT_DIR is writable");
         rust.push_str(&module_source(&stem, file, &spv, &reflection));
     }
+    writeln!(rust, "/// Of all shaders together.\npub const HASH: u64 = {:#x};", hasher.finish()).unwrap();
     fs::write(out_dir.join("shaders.rs"), rust).expect("OUT_DIR is writable");
 }

@@ -10,6 +10,7 @@ use limpid::denoise::{Crop, Denoiser, FrameStats, INPUTS, TRANSFER, check_weight
 use limpid::gpu::{Gpu, Slice, hazard};
 use limpid::net::architecture::{Architecture, Op, Row};
 use limpid::net::device::groups;
+use limpid::net::kernel::Family;
 use limpid::net::reference;
 use limpid::net::tensor::{Tensor, seed_of, uniform};
 use limpid::net::weights::Weights;
@@ -420,7 +421,7 @@ fn identity() -> Weights {
 
 fn reconstruct(gpu: &Gpu, weights: &Weights, frame: &Frame) -> [Vec<f32>; 3] {
     let (width, height) = frame.size();
-    let denoiser = Denoiser::new(gpu, weights, width, height).unwrap();
+    let denoiser = Denoiser::new(gpu, Family::choose(gpu.info()), weights, width, height).unwrap();
     let [radiance, screen] = frame.upload(gpu);
     hazard::check(denoiser.record(&radiance, &screen).unwrap().events()).unwrap();
     let (planes, _) = denoiser.run(&radiance, &screen).unwrap();

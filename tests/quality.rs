@@ -5,6 +5,7 @@ mod common;
 use common::gpu;
 use limpid::denoise::{Denoiser, check_weights, embedded_weights};
 use limpid::metrics;
+use limpid::net::kernel::Family;
 use limpid::render::{Estimator, Renderer, Sampler, Settings};
 use limpid::scene::family;
 
@@ -22,7 +23,9 @@ fn embedded_weights_reconstruct_a_frame_that_training_never_saw() {
     let mut noisy = Renderer::new(&gpu, &scene, &settings).unwrap();
     noisy.finish().unwrap();
     let outputs = noisy.outputs().unwrap();
-    let (planes, _) = Denoiser::new(&gpu, &weights, w, h).unwrap().run(&outputs.radiance, &outputs.screen).unwrap();
+    let family = Family::choose(gpu.info());
+    let (planes, _) =
+        Denoiser::new(&gpu, family, &weights, w, h).unwrap().run(&outputs.radiance, &outputs.screen).unwrap();
     let image = noisy.image().unwrap();
     let mut reference = Renderer::new(&gpu, &scene, &Settings { spp: 256, seed: 2, ..Settings::default() }).unwrap();
     reference.finish().unwrap();

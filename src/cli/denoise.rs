@@ -1,6 +1,6 @@
 //! `limpid denoise`: reconstruct a picture that limpid rendered.
 
-use super::device::DeviceArgs;
+use super::device::{DeviceArgs, KernelArgs};
 use super::files::{Files, parse_exposure};
 use super::progress::Progress;
 use super::reconstruct::{Reconstruction, exact_pixels};
@@ -32,6 +32,8 @@ pub struct Args {
     #[arg(long, value_name = "EV", default_value = "0", allow_negative_numbers = true, value_parser = parse_exposure)]
     exposure: f32,
     #[command(flatten)]
+    kernels: KernelArgs,
+    #[command(flatten)]
     device: DeviceArgs,
     /// Print one JSON object
     #[arg(long)]
@@ -46,6 +48,7 @@ pub fn run(args: &Args) -> Result<u8> {
     files.writable(true)?;
     let mut network = Reconstruction::load(args.weights.as_deref())?;
     let gpu = args.device.open()?;
+    network.choose(&gpu, &args.kernels)?;
     let [radiance, screen] = upload(&gpu, &image)?;
     let progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
     let timings = network.run(&gpu, [&radiance.all(), &screen.all()], &mut image)?;
@@ -113,12 +116,13 @@ fn report(
     map.insert("input".into(), json!(report::text(&args.input)));
     map.insert("outputs".into(), json!(outputs));
     map.insert("skipped".into(), json!(skipped));
-    map.insert("kernels".into(), json!(network.kernels()));
+    report::kernels(&mut map, network.kernels());
     let settings = json!({
         "width": image.width, "height": image.height, "weights": network.describe(), "exposure_ev": args.exposure,
     });
     map.insert("settings".into(), settings);
     let times = json!({
+        "start": report::start_ms(start, timings),
         "pipelines": report::ms(gpu.pipeline_ms()),
         "reconstruct_device": report::ms(device_ms),
         "wall": report::ms(start.elapsed().as_secs_f64() * 1e3),

@@ -1,9 +1,13 @@
 //! The network, ready to reconstruct pictures.
 
+use super::device::KernelArgs;
 use limpid::Result;
 use limpid::denoise::{Denoiser, check_weights, embedded_weights};
 use limpid::gpu::{Gpu, Slice, Timings};
 use limpid::image::Image;
+use limpid::kernels::Choice;
+use limpid::kernels::check::Purpose;
+use limpid::net::kernel::Family;
 use limpid::net::weights::Weights;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -14,6 +18,7 @@ pub struct Reconstruction {
     name: String,
     weights: Weights,
     sha256: String,
+    choice: Option<Choice>,
     denoiser: Option<((u32, u32), Denoiser)>,
 }
 
@@ -24,7 +29,7 @@ impl Reconstruction {
         let weights = file.map_or_else(embedded_weights, Weights::load)?;
         check_weights(&weights, &name)?;
         let sha256 = Sha256::digest(weights.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { name, weights, sha256, denoiser: None })
+        Ok(Self { name, weights, sha256, choice: None, denoiser: None })
     }
 
     /// The SHA-256 of the weights as limpid writes them to a file.
@@ -37,9 +42,15 @@ impl Reconstruction {
         json!({ "file": self.name, "architecture": self.weights.architecture.name(), "sha256": self.sha256 })
     }
 
-    /// The kernels in use; none before the first picture.
-    pub fn kernels(&self) -> Option<&'static str> {
-        self.denoiser.as_ref().map(|(_, denoiser)| denoiser.family().name())
+    /// The kernels in use; none where no picture was reconstructed.
+    pub fn kernels(&self) -> Option<&Choice> {
+        self.choice.as_ref().filter(|_| self.denoiser.is_some())
+    }
+
+    /// Chooses the kernels.
+    pub fn choose(&mut self, gpu: &Gpu, kernels: &KernelArgs) -> Result<()> {
+        self.choice = Some(kernels.choose(gpu, Purpose::Inference)?);
+        Ok(())
     }
 
     /// Moves the channels `R,G,B` to `noisy` and puts their reconstruction in their place. `radiance` and `screen` are
@@ -52,10 +63,11 @@ impl Reconstruction {
             return Ok(None);
         }
         let size = (image.width, image.height);
+        let family = self.choice.as_ref().map_or_else(|| Family::choose(gpu.info()), |choice| choice.family);
         let denoiser = match self.denoiser.take() {
             Some((made_for, denoiser)) if made_for == size => denoiser,
             // The old one's memory is free by now.
-            _ => Denoiser::new(gpu, &self.weights, size.0, size.1)?,
+            _ => Denoiser::new(gpu, family, &self.weights, size.0, size.1)?,
         };
         let (_, denoiser) = self.denoiser.insert((size, denoiser));
         let (planes, timings) = denoiser.run(frame[0], frame[1])?;

@@ -29,7 +29,6 @@ pub fn embedded_weights() -> Result<Weights> {
 pub struct Denoiser {
     gpu: Gpu,
     size: (u32, u32),
-    family: Family,
     parameters: Parameters,
     plan: Plan,
     frame_stats: FrameStats,
@@ -39,8 +38,7 @@ pub struct Denoiser {
 
 impl Denoiser {
     /// Tensors for frames of `width` x `height` pixels.
-    pub fn new(gpu: &Gpu, weights: &Weights, width: u32, height: u32) -> Result<Self> {
-        let family = Family::choose(gpu.info());
+    pub fn new(gpu: &Gpu, family: Family, weights: &Weights, width: u32, height: u32) -> Result<Self> {
         let parameters = Parameters::new(gpu, family, weights, false)?;
         let padded = |size: u32| weights.architecture.padded(size as usize) as u32;
         let size = (1, padded(height), padded(width));
@@ -48,19 +46,12 @@ impl Denoiser {
         Ok(Self {
             gpu: gpu.clone(),
             size: (width, height),
-            family,
             parameters,
             plan,
             frame_stats: FrameStats::new(gpu, width, height)?,
             stats: gpu.buffer("frame stats", 16)?,
             result: gpu.buffer("reconstruction", u64::from(width) * u64::from(height) * 16)?,
         })
-    }
-
-    /// The kernels in use.
-    #[must_use]
-    pub fn family(&self) -> Family {
-        self.family
     }
 
     /// Records the reconstruction of a frame: `radiance` (rgb, exact) and `screen` (normal x, y, depth, hit), four floats

@@ -65,6 +65,8 @@ pub struct Timings {
     pub device_ms: f64,
     /// From submission to the return of the wait, milliseconds on the host.
     pub wall_ms: f64,
+    /// When it was submitted; none where nothing ran.
+    pub submitted: Option<Instant>,
     /// Shader name and milliseconds of each operation; empty unless [`Recorder::time_each`] was called.
     pub operations: Vec<(&'static str, f64)>,
 }
@@ -391,7 +393,7 @@ impl Commands {
         }
         let wall_ms = start.elapsed().as_secs_f64() * 1e3;
         if self.query_count == 0 {
-            return Ok(Timings { wall_ms, ..Timings::default() });
+            return Ok(Timings { wall_ms, submitted: Some(start), ..Timings::default() });
         }
         let mut ticks = vec![0u64; self.query_count as usize];
         // SAFETY: the run has ended, so all queries are available.
@@ -411,7 +413,8 @@ impl Commands {
         } else {
             Vec::new()
         };
-        Ok(Timings { device_ms: ms(ticks[0], ticks[ticks.len() - 1]), wall_ms, operations })
+        let device_ms = ms(ticks[0], ticks[ticks.len() - 1]);
+        Ok(Timings { device_ms, wall_ms, submitted: Some(start), operations })
     }
 }
 

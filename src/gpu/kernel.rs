@@ -67,7 +67,12 @@ fn set_layout<S: Shader>(device: &ash::Device) -> Result<vk::DescriptorSetLayout
     unsafe { device.create_descriptor_set_layout(&info, None) }.map_err(vk_error)
 }
 
-fn create<S: Shader>(device: &ash::Device, words: &[u32], subgroup: Option<u32>) -> Result<Pipeline> {
+fn create<S: Shader>(
+    device: &ash::Device,
+    cache: vk::PipelineCache,
+    words: &[u32],
+    subgroup: Option<u32>,
+) -> Result<Pipeline> {
     let code: Vec<u32> = bytemuck::pod_collect_to_vec(S::SPIRV);
     // SAFETY: `code` is a module that shaderc wrote; every `info` lives until its call returns.
     unsafe {
@@ -97,8 +102,7 @@ fn create<S: Shader>(device: &ash::Device, words: &[u32], subgroup: Option<u32>)
             stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS).push_next(&mut required);
         }
         let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout);
-        let raw =
-            device.create_compute_pipelines(vk::PipelineCache::null(), &[info], None).map_err(|(_, e)| vk_error(e))?[0];
+        let raw = device.create_compute_pipelines(cache, &[info], None).map_err(|(_, e)| vk_error(e))?[0];
         Ok(Pipeline { raw, layout, set_layout, module })
     }
 }
@@ -122,8 +126,10 @@ impl Gpu {
             return Ok(Kernel { pipeline: pipeline.clone(), shader: PhantomData });
         }
         let start = Instant::now();
-        let pipeline = Arc::new(create::<S>(&self.0.raw, &words, subgroup)?);
-        self.0.pipeline_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        let pipeline = Arc::new(create::<S>(&self.0.raw, self.0.disk.pipelines, &words, subgroup)?);
+        let elapsed = start.elapsed();
+        log::debug!("pipeline {} {words:?}: {:.1} ms", S::NAME, elapsed.as_secs_f64() * 1e3);
+        self.0.pipeline_ns.fetch_add(elapsed.as_nanos() as u64, Ordering::Relaxed);
         kernels.insert(key, pipeline.clone());
         Ok(Kernel { pipeline, shader: PhantomData })
     }

@@ -8,6 +8,7 @@
 mod buffer;
 mod commands;
 mod device;
+mod disk;
 mod environment;
 pub mod hazard;
 mod instance;
