@@ -78,7 +78,7 @@ fn a_wrong_result_of_any_kernel_falls_back_to_portable_and_says_so() {
             }
             // By name there is no way around.
             let forced = choose_with(&gpu, Some(best.name()), purpose, |_, row| lying(row, wrong.part));
-            let message = forced.err().expect("refused").to_string();
+            let message = forced.expect_err("refused").to_string();
             assert!(message.contains(best.name()) && message.contains(wrong.part.name()), "{message}");
         }
         let choice = choose_with(&gpu, None, purpose, |_, row| truth(row)).unwrap();

@@ -3,9 +3,9 @@
 use super::buffer::Slice;
 use super::device::{Gpu, lock, vk_error};
 use super::hazard::{AccessRange, Event};
-use super::kernel::{Kernel, Pipeline};
+use super::kernel::{Kernel, Pipeline, descriptor_type};
 use super::{Access, Binding, BindingKind, Bindings, PushBlock, Shader};
-use crate::Result;
+use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
 use std::time::Instant;
@@ -344,27 +344,29 @@ impl Commands {
         let set = unsafe { device.allocate_descriptor_sets(&info) }.map_err(vk_error)?[0];
         let mut buffers = Vec::with_capacity(d.slices.len());
         let mut views = Vec::with_capacity(d.slices.len());
+        let info = &self.gpu.0.info;
         for (b, slice) in d.bindings.iter().zip(&d.slices) {
+            if !info.texel_views() && slice.bytes > info.max_storage_range {
+                let most = info.max_storage_range;
+                return Err(Error::OutOfMemory(format!("{slice:?}: {} may read {most} bytes at once", info.name)));
+            }
             buffers.push([vk::DescriptorBufferInfo {
                 buffer: slice.buffer.0.raw,
                 offset: slice.offset,
                 range: slice.bytes,
             }]);
             views.push([match b.kind {
-                BindingKind::StorageBuffer => vk::BufferView::null(),
-                BindingKind::TexelBuffer(format) => slice.view(format)?,
+                BindingKind::TexelBuffer(format) if info.texel_views() => slice.view(format)?,
+                BindingKind::TexelBuffer(_) | BindingKind::StorageBuffer => vk::BufferView::null(),
             }]);
         }
         let writes: Vec<_> = (d.bindings.iter().zip(&buffers).zip(&views))
             .map(|((b, buffer), view)| {
-                let write = vk::WriteDescriptorSet::default().dst_set(set).dst_binding(b.binding);
-                match b.kind {
-                    BindingKind::StorageBuffer => {
-                        write.descriptor_type(vk::DescriptorType::STORAGE_BUFFER).buffer_info(buffer)
-                    }
-                    BindingKind::TexelBuffer(_) => {
-                        write.descriptor_type(vk::DescriptorType::STORAGE_TEXEL_BUFFER).texel_buffer_view(view)
-                    }
+                let ty = descriptor_type(b.kind, info.texel_views());
+                let write = vk::WriteDescriptorSet::default().dst_set(set).dst_binding(b.binding).descriptor_type(ty);
+                match ty {
+                    vk::DescriptorType::STORAGE_BUFFER => write.buffer_info(buffer),
+                    _ => write.texel_buffer_view(view),
                 }
             })
             .collect();

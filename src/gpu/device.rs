@@ -69,6 +69,20 @@ pub struct DeviceInfo {
     pub unusable: String,
 }
 
+impl DeviceInfo {
+    /// Whether a texel view reaches as far as a storage binding. Elsewhere shaders read through storage buffers.
+    #[must_use]
+    pub fn texel_views(&self) -> bool {
+        self.max_texel_elements * 16 >= self.max_storage_range
+    }
+
+    /// The most bytes that a shader may read through one binding.
+    #[must_use]
+    pub fn max_read_range(&self) -> u64 {
+        if self.texel_views() { self.max_texel_elements * 16 } else { self.max_storage_range }
+    }
+}
+
 pub(super) struct Shared {
     pub(super) info: DeviceInfo,
     pub(super) raw: ash::Device,

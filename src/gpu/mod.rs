@@ -45,7 +45,7 @@ pub enum TexelFormat {
 pub enum BindingKind {
     /// `buffer` block.
     StorageBuffer,
-    /// `imageBuffer`.
+    /// `imageBuffer`; a storage buffer on devices without [`DeviceInfo::texel_views`].
     TexelBuffer(TexelFormat),
 }
 
@@ -95,6 +95,8 @@ pub trait Shader {
     const NAME: &'static str;
     /// The module, as little-endian words.
     const SPIRV: &'static [u8];
+    /// The same module with storage buffers in the place of texel buffers.
+    const SPIRV_WITHOUT_TEXELS: &'static [u8];
     /// Descriptors.
     const BINDINGS: &'static [Binding];
     /// Push-constant members.
