@@ -98,7 +98,7 @@ fn winograd_kernels_equal_the_reference() {
         }
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
-    if gpu.info().is_cpu {
+    if gpu.info().is_cpu && gpu.info().subgroup_size >= 8 {
         assert!(checked.iter().all(|c| *c >= 3), "{checked:?} rows whole, in parts, upsampled");
     }
 }

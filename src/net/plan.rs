@@ -188,7 +188,8 @@ impl Plan {
             Memory::Shared => {
                 let bytes: Vec<u64> = shapes.iter().map(Shape::bytes).collect();
                 let (offsets, total) = places(&bytes, &last_uses(architecture, &jobs));
-                let arena = gpu.buffer("activations", total)?;
+                // A kernel writes every texel of a value, those that only pad too, before another reads it.
+                let arena = gpu.unset_buffer("activations", total)?;
                 let tensor = |(s, at): (&Shape, &u64)| DeviceTensor { shape: *s, slice: arena.slice(*at, s.bytes()) };
                 shapes.iter().zip(&offsets).map(tensor).collect()
             }
