@@ -66,9 +66,10 @@ impl Part {
 
 /// Kernels and the rows that they are checked on: no multiples of a tile, a subgroup or a block of channels; blocks of output
 /// channels left over and not; batches.
-const ROWS: [(Part, &str); 8] = [
+const ROWS: [(Part, &str); 9] = [
     (Part::Forward, "conv2d_n3_c6-32_h13_w11"),
     (Part::Forward, "conv2d_n3_c43-43_h5_w7_one_hot_weight"),
+    (Part::Forward, "conv2d_n3_c43-3_h31_w2"),
     (Part::Winograd, "conv2d_n1_c101-101_h4_w4"),
     (Part::Winograd, "conv2d_n3_c43-3_h31_w2"),
     (Part::WinogradUpsampled, "conv2d_n1_c202-76_h4_w6"),
@@ -168,9 +169,9 @@ mod tests {
     #[test]
     fn every_row_is_in_the_case_table() {
         let (cpu, portable) = (Family::Cpu { lanes: 8 }, Family::Portable);
-        assert_eq!(rows(cpu, Purpose::Inference).len(), 5);
-        assert_eq!(rows(cpu, Purpose::Training).len(), 5);
-        assert_eq!(rows(portable, Purpose::Inference).len(), 2);
+        assert_eq!(rows(cpu, Purpose::Inference).len(), 6);
+        assert_eq!(rows(cpu, Purpose::Training).len(), 6);
+        assert_eq!(rows(portable, Purpose::Inference).len(), 3);
     }
 
     #[test]
