@@ -5,8 +5,11 @@
 mod reflect;
 #[path = "src/shared_constants.rs"]
 mod shared_constants;
+#[path = "src/without_texels.rs"]
+mod without_texels;
 
 use std::fmt::Write as _;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
@@ -47,7 +50,7 @@ fn compile_options() -> shaderc::CompileOptions<'static> {
 }
 
 /// The Rust module of one shader.
-fn module_source(stem: &str, file: &Path, spv: &Path, r: &reflect::Reflection) -> String {
+fn module_source(stem: &str, file: &Path, [spv, plain]: [&Path; 2], r: &reflect::Reflection) -> String {
     let mut s = String::new();
     let w = &mut s;
     writeln!(w, "/// `{}`.\npub mod {stem} {{\nuse crate::gpu::*;", file.display()).unwrap();
@@ -81,6 +84,8 @@ fn module_source(stem: &str, file: &Path, spv: &Path, r: &reflect::Reflection) -
     writeln!(w, "] }} }}\nimpl crate::gpu::Shader for Shader {{\ntype Bind = Bind;\ntype Spec = Spec;").unwrap();
     writeln!(w, "const NAME: &'static str = {stem:?};").unwrap();
     writeln!(w, "const SPIRV: &'static [u8] = include_bytes!({:?});", spv.display().to_string()).unwrap();
+    writeln!(w, "const SPIRV_WITHOUT_TEXELS: &'static [u8] = include_bytes!({:?});", plain.display().to_string())
+        .unwrap();
     writeln!(w, "const BINDINGS: &'static [Binding] = &[").unwrap();
     for b in &r.bindings {
         writeln!(
@@ -106,12 +111,14 @@ fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed=src/reflect.rs");
     println!("cargo::rerun-if-changed=src/shared_constants.rs");
+    println!("cargo::rerun-if-changed=src/without_texels.rs");
     let out_dir = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     let compiler = shaderc::Compiler::new().expect("shaderc");
     let options = compile_options();
     let mut files = Vec::new();
     shader_files(Path::new("glsl"), &mut files);
     let mut rust = String::new();
+    let mut hasher = DefaultHasher::new();
     let mut stems = std::collections::BTreeSet::new();
     for file in &files {
         let source = fs::read_to_string(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
@@ -123,8 +130,15 @@ fn main() {
             .unwrap_or_else(|e| panic!("{e}"));
         let reflection = reflect::reflect(binary.as_binary());
         let spv = out_dir.join(format!("{stem}.spv"));
+        (&stem, binary.as_binary_u8()).hash(&mut hasher);
         fs::write(&spv, binary.as_binary_u8()).expect("OUT_DIR is writable");
-        rust.push_str(&module_source(&stem, file, &spv, &reflection));
+        let plain = out_dir.join(format!("{stem}.buffers.spv"));
+        let words = without_texels::without_texels(binary.as_binary());
+        words.hash(&mut hasher);
+        let bytes: Vec<u8> = words.into_iter().flat_map(u32::to_le_bytes).collect();
+        fs::write(&plain, bytes).expect("OUT_DIR is writable");
+        rust.push_str(&module_source(&stem, file, [&spv, &plain], &reflection));
     }
+    writeln!(rust, "/// Of all shaders together.\npub const HASH: u64 = {:#x};", hasher.finish()).unwrap();
     fs::write(out_dir.join("shaders.rs"), rust).expect("OUT_DIR is writable");
 }

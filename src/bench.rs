@@ -103,8 +103,8 @@ struct Network {
 }
 
 impl Network {
-    fn new(gpu: &Gpu, weights: &Weights, (h, w): (u32, u32), fusion: Fusion) -> Result<Self> {
-        let (family, architecture) = (Family::choose(gpu.info()), &weights.architecture);
+    fn new(gpu: &Gpu, family: Family, weights: &Weights, (h, w): (u32, u32), fusion: Fusion) -> Result<Self> {
+        let architecture = &weights.architecture;
         let parameters = Parameters::new(gpu, family, weights, false)?;
         let plan = Plan::new(gpu, architecture, family, (1, h, w), Memory::Shared, fusion)?;
         plan.input().upload(gpu, &input(architecture, (h, w)).data)?;
@@ -128,9 +128,16 @@ impl Network {
 }
 
 /// Every node that a plan computes.
-pub fn layers(gpu: &Gpu, weights: &Weights, size: (u32, u32), fusion: Fusion, runs: u32) -> Result<(Vec<Row>, WarmUp)> {
+pub fn layers(
+    gpu: &Gpu,
+    family: Family,
+    weights: &Weights,
+    size: (u32, u32),
+    fusion: Fusion,
+    runs: u32,
+) -> Result<(Vec<Row>, WarmUp)> {
     let architecture = &weights.architecture;
-    let network = Network::new(gpu, weights, size, fusion)?;
+    let network = Network::new(gpu, family, weights, size, fusion)?;
     let mut rec = gpu.recorder();
     rec.time_each();
     let mut ends = Vec::new();
@@ -171,9 +178,16 @@ pub struct Values {
 }
 
 /// The whole network in one command list.
-pub fn net(gpu: &Gpu, weights: &Weights, size: (u32, u32), fusion: Fusion, runs: u32) -> Result<(Row, WarmUp, Values)> {
+pub fn net(
+    gpu: &Gpu,
+    family: Family,
+    weights: &Weights,
+    size: (u32, u32),
+    fusion: Fusion,
+    runs: u32,
+) -> Result<(Row, WarmUp, Values)> {
     let architecture = &weights.architecture;
-    let network = Network::new(gpu, weights, size, fusion)?;
+    let network = Network::new(gpu, family, weights, size, fusion)?;
     let mut rec = gpu.recorder();
     network.plan.record(&mut rec, &network.parameters)?;
     let mut commands = rec.finish()?;
@@ -192,8 +206,14 @@ pub fn net(gpu: &Gpu, weights: &Weights, size: (u32, u32), fusion: Fusion, runs:
 
 /// A training step of `batch` crops: the whole, then every kernel with its share. Forward, input gradient and weight gradient
 /// count as much as each other.
-pub fn train(gpu: &Gpu, weights: &Weights, (batch, crop): (u32, u32), runs: u32) -> Result<(Vec<Row>, WarmUp)> {
-    let (family, architecture) = (Family::choose(gpu.info()), &weights.architecture);
+pub fn train(
+    gpu: &Gpu,
+    family: Family,
+    weights: &Weights,
+    (batch, crop): (u32, u32),
+    runs: u32,
+) -> Result<(Vec<Row>, WarmUp)> {
+    let architecture = &weights.architecture;
     let adam = Adam::default();
     let mut step = Step::new(gpu, family, weights, (batch, crop, crop), adam)?;
     let side = crop as usize;

@@ -7,6 +7,7 @@ pub mod denoise;
 pub mod error;
 pub mod gpu;
 pub mod image;
+pub mod kernels;
 pub mod metrics;
 pub mod net;
 pub mod render;

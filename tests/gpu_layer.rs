@@ -264,7 +264,7 @@ fn an_unknown_device_is_refused_with_the_names_of_the_known() {
     let devices = list_devices().unwrap();
     assert!(!devices.is_empty());
     for wanted in ["no such device".to_owned(), devices.len().to_string()] {
-        let options = DeviceOptions { select: Some(wanted.clone()), validation: false };
+        let options = DeviceOptions { select: Some(wanted.clone()), ..DeviceOptions::default() };
         let error = Gpu::new(&options).err().expect("no such device");
         assert!(matches!(error, Error::Input(_)));
         let message = error.to_string();
@@ -281,7 +281,7 @@ fn a_device_is_found_by_number_and_by_part_of_its_name() {
     let usable = devices.iter().find(|d| d.unusable.is_empty()).expect("a usable device");
     let part: String = usable.name.chars().take(6).collect::<String>().to_uppercase();
     for wanted in [usable.index.to_string(), part] {
-        let options = DeviceOptions { select: Some(wanted), validation: false };
+        let options = DeviceOptions { select: Some(wanted), ..DeviceOptions::default() };
         assert_eq!(Gpu::new(&options).unwrap().info().name, usable.name);
     }
 }

@@ -6,6 +6,7 @@ use common::compare::{require, same_bits};
 use common::gpu;
 use limpid::gpu::Gpu;
 use limpid::net::architecture::Architecture;
+use limpid::net::kernel::Family;
 use limpid::net::weights::Weights;
 use limpid::train::checkpoint;
 use limpid::train::data::DataSettings;
@@ -27,7 +28,7 @@ fn state(seed: u64) -> RunState {
 }
 
 fn begin(gpu: &Gpu, seed: u64) -> Run {
-    Run::new(gpu, state(seed), &Weights::glorot(&Architecture::seed(), seed), None).unwrap()
+    Run::new(gpu, Family::choose(gpu.info()), state(seed), &Weights::glorot(&Architecture::seed(), seed), None).unwrap()
 }
 
 fn losses(run: &mut Run, steps: usize) -> Vec<f64> {
@@ -64,7 +65,7 @@ fn a_resumed_run_is_the_uninterrupted_one() {
     let (state, parameters_then, moments) = checkpoint::load(&path).unwrap();
     let mut weights = Weights::glorot(&Architecture::seed(), 0);
     weights.parameters = parameters_then;
-    let mut second = Run::new(&gpu, state, &weights, Some(&moments)).unwrap();
+    let mut second = Run::new(&gpu, Family::choose(gpu.info()), state, &weights, Some(&moments)).unwrap();
     actual.extend(losses(&mut second, 1));
     assert_eq!(actual, expected);
     assert!(second.state.done() && whole.state.done());
@@ -115,7 +116,8 @@ fn settings_that_do_not_fit_are_refused() {
     ] {
         let mut state = state(1);
         change(&mut state.data);
-        let message = Run::new(&gpu, state, &weights, None).err().expect("refused").to_string();
+        let message =
+            Run::new(&gpu, Family::choose(gpu.info()), state, &weights, None).err().expect("refused").to_string();
         assert!(message.contains(word), "{message}");
     }
 }

@@ -1,13 +1,14 @@
 //! `limpid bench`: device times of the network beside what the device can do.
 
-use super::device::DeviceArgs;
+use super::device::{DeviceArgs, KernelArgs};
 use super::render::parse_size;
 use super::report;
 use clap::{Subcommand, ValueEnum};
 use limpid::bench::{self, Row, Values};
 use limpid::gpu::Gpu;
+use limpid::kernels::Choice;
+use limpid::kernels::check::Purpose;
 use limpid::net::architecture::Architecture;
-use limpid::net::kernel::Family;
 use limpid::net::plan::Fusion;
 use limpid::net::tensor::Tensor;
 use limpid::net::weights::Weights;
@@ -86,6 +87,8 @@ struct Common {
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     repeat: u32,
     #[command(flatten)]
+    kernels: KernelArgs,
+    #[command(flatten)]
     device: DeviceArgs,
     /// Print one JSON object
     #[arg(long)]
@@ -113,7 +116,8 @@ pub fn run(args: &Args) -> Result<u8> {
 fn time_net(args: &NetArgs, by_layer: bool) -> Result<u8> {
     let (gpu, weights) = (args.common.device.open()?, args.common.weights()?);
     let architecture = &weights.architecture;
-    let family = Family::choose(gpu.info());
+    let choice = args.common.kernels.choose(&gpu, Purpose::Inference)?;
+    let family = choice.family;
     let fusion = match args.plan {
         PlanName::Fused => Fusion::best(family),
         PlanName::Unfused => Fusion::Layers,
@@ -121,9 +125,9 @@ fn time_net(args: &NetArgs, by_layer: bool) -> Result<u8> {
     let padded = |side: u32| architecture.padded(side as usize) as u32;
     let (w, h) = (padded(args.size.0), padded(args.size.1));
     let (rows, warm_up) = if by_layer {
-        bench::layers(&gpu, &weights, (h, w), fusion, args.common.repeat)?
+        bench::layers(&gpu, family, &weights, (h, w), fusion, args.common.repeat)?
     } else {
-        let (row, warm_up, values) = bench::net(&gpu, &weights, (h, w), fusion, args.common.repeat)?;
+        let (row, warm_up, values) = bench::net(&gpu, family, &weights, (h, w), fusion, args.common.repeat)?;
         if let Some(path) = &args.values {
             write_values(path, &values)?;
         }
@@ -131,7 +135,14 @@ fn time_net(args: &NetArgs, by_layer: bool) -> Result<u8> {
     };
     let plan = args.plan.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
     let settings = json!({ "architecture": architecture.name(), "width": w, "height": h, "plan": plan });
-    finish(if by_layer { "bench layers" } else { "bench net" }, &gpu, &args.common, &settings, &rows, warm_up)
+    finish(
+        if by_layer { "bench layers" } else { "bench net" },
+        (&gpu, &choice),
+        &args.common,
+        &settings,
+        &rows,
+        warm_up,
+    )
 }
 
 fn write_values(path: &Path, values: &Values) -> Result<()> {
@@ -153,15 +164,23 @@ fn time_train(args: &TrainArgs) -> Result<u8> {
     let (gpu, weights) = (args.common.device.open()?, args.common.weights()?);
     let architecture = &weights.architecture;
     let crop = architecture.padded(args.crop as usize) as u32;
-    let (rows, warm_up) = bench::train(&gpu, &weights, (args.batch, crop), args.common.repeat)?;
+    let choice = args.common.kernels.choose(&gpu, Purpose::Training)?;
+    let (rows, warm_up) = bench::train(&gpu, choice.family, &weights, (args.batch, crop), args.common.repeat)?;
     let settings = json!({ "architecture": architecture.name(), "batch": args.batch, "crop": crop });
-    finish("bench train", &gpu, &args.common, &settings, &rows, warm_up)
+    finish("bench train", (&gpu, &choice), &args.common, &settings, &rows, warm_up)
 }
 
-fn finish(command: &str, gpu: &Gpu, common: &Common, settings: &Value, rows: &[Row], warm_up: f64) -> Result<u8> {
+fn finish(
+    command: &str,
+    (gpu, choice): (&Gpu, &Choice),
+    common: &Common,
+    settings: &Value,
+    rows: &[Row],
+    warm_up: f64,
+) -> Result<u8> {
     let peak = bench::peak(gpu)?;
     common.device.check(gpu)?;
-    let kernels = Family::choose(gpu.info()).name();
+    let kernels = choice.family.name();
     if common.json {
         let row = |row: &Row| {
             let mut value = json!(row);
@@ -170,7 +189,7 @@ fn finish(command: &str, gpu: &Gpu, common: &Common, settings: &Value, rows: &[R
             value
         };
         let mut map = report::header(command, gpu);
-        map.insert("kernels".into(), kernels.into());
+        report::kernels(&mut map, Some(choice));
         map.insert("settings".into(), settings.clone());
         map.insert("repeat".into(), common.repeat.into());
         map.insert("peak_gflops".into(), peak.into());

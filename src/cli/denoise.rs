@@ -1,6 +1,6 @@
 //! `limpid denoise`: reconstruct a picture that limpid rendered.
 
-use super::device::DeviceArgs;
+use super::device::{DeviceArgs, KernelArgs};
 use super::files::{Files, parse_exposure};
 use super::progress::Progress;
 use super::reconstruct::Reconstruction;
@@ -38,6 +38,8 @@ pub struct Args {
     #[command(flatten)]
     tiles: TileArgs,
     #[command(flatten)]
+    kernels: KernelArgs,
+    #[command(flatten)]
     device: DeviceArgs,
     /// Print one JSON object
     #[arg(long)]
@@ -52,6 +54,7 @@ pub fn run(args: &Args) -> Result<u8> {
     let mut image = read(&args.input, network.inputs())?;
     files.writable(true)?;
     let gpu = args.device.open()?;
+    network.choose_kernels(&gpu, &args.kernels)?;
     network.choose(&gpu, (image.width, image.height), false)?;
     let mut progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
     let pixels = image.pixel_count() as f64;
@@ -105,7 +108,7 @@ fn report(
     map.insert("input".into(), json!(report::text(&args.input)));
     map.insert("outputs".into(), json!(outputs));
     map.insert("skipped".into(), json!(skipped));
-    map.insert("kernels".into(), json!(network.kernels()));
+    report::kernels(&mut map, network.kernels());
     map.insert("tiling".into(), json!(network.tiling()));
     let settings = json!({
         "width": image.width, "height": image.height, "weights": network.describe(), "exposure_ev": args.exposure,
@@ -113,6 +116,7 @@ fn report(
     });
     map.insert("settings".into(), settings);
     let times = json!({
+        "start": report::start_ms(start, timings),
         "pipelines": report::ms(gpu.pipeline_ms()),
         "reconstruct_device": report::ms(device_ms),
         "wall": report::ms(start.elapsed().as_secs_f64() * 1e3),

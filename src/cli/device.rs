@@ -1,6 +1,9 @@
 //! Which device a command runs on.
 
+use super::progress::line;
 use limpid::gpu::{DeviceOptions, Gpu};
+use limpid::kernels::check::Purpose;
+use limpid::kernels::{Choice, choose};
 use limpid::{Error, Result};
 
 /// The flags of every command that computes.
@@ -17,7 +20,8 @@ pub struct DeviceArgs {
 impl DeviceArgs {
     /// Opens the device.
     pub fn open(&self) -> Result<Gpu> {
-        Gpu::new(&DeviceOptions { select: self.device.clone(), validation: self.validation })
+        let (select, validation) = (self.device.clone(), self.validation);
+        Gpu::new(&DeviceOptions { select, validation, ..DeviceOptions::default() })
     }
 
     /// Fails where the validation layer had something to say.
@@ -27,5 +31,23 @@ impl DeviceArgs {
             None => Ok(()),
             Some(first) => Err(Error::Gpu(format!("{} validation messages, the first: {first}", messages.len()))),
         }
+    }
+}
+
+/// The flag of every command that runs the network.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct KernelArgs {
+    /// The network's kernels: a name that `limpid devices` shows for the device [default: the fastest that pass their
+    /// self-check]
+    #[arg(long, value_name = "NAME")]
+    pub kernels: Option<String>,
+}
+
+impl KernelArgs {
+    /// Chooses, and says where faster kernels fail.
+    pub fn choose(&self, gpu: &Gpu, purpose: Purpose) -> Result<Choice> {
+        let choice = choose(gpu, self.kernels.as_deref(), purpose)?;
+        choice.warnings().iter().for_each(|warning| line(&format!("warning: {warning}")));
+        Ok(choice)
     }
 }

@@ -50,6 +50,8 @@ pub struct Totals {
     pub reconstruct_device_ms: f64,
     /// The same by the clock, pipelines and allocation included.
     pub reconstruct_wall_ms: f64,
+    /// When the first frame was begun on the device.
+    pub first: Option<Instant>,
     /// Encoding and writing files.
     pub write_ms: f64,
     /// What was left out, as of the last frame.
@@ -108,6 +110,7 @@ impl<'a> Work<'a> {
             progress.start_at(f64::from(renderer.samples_done()) / f64::from(frame.settings.spp));
         }
         let resumed = (renderer.samples_done(), renderer.stats()?.rays);
+        self.totals.first.get_or_insert_with(Instant::now);
         let finished = self.trace(&mut renderer, files, &mut progress)?;
         drop(progress);
         if !finished {

@@ -1,10 +1,13 @@
 //! The network, ready to reconstruct pictures.
 
+use super::device::KernelArgs;
 use limpid::denoise::{
     Choice, Demand, Denoiser, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, embedded_weights,
 };
 use limpid::gpu::{Gpu, Slice, Timings};
 use limpid::image::{Image, Rgb};
+use limpid::kernels;
+use limpid::kernels::check::Purpose;
 use limpid::net::weights::Weights;
 use limpid::{Error, Result};
 use serde_json::{Value, json};
@@ -18,7 +21,8 @@ pub struct Reconstruction {
     inputs: Inputs,
     sha256: String,
     demand: Demand,
-    choice: Option<(Kernels, Choice)>,
+    kernels: Option<kernels::Choice>,
+    choice: Option<Choice>,
     made: Option<(Choice, Made)>,
 }
 
@@ -36,7 +40,7 @@ impl Reconstruction {
         let weights = file.map_or_else(embedded_weights, Weights::load)?;
         let inputs = Preparation::of_weights(&weights, &name)?.inputs;
         let sha256 = Sha256::digest(weights.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { name, weights, inputs, sha256, demand, choice: None, made: None })
+        Ok(Self { name, weights, inputs, sha256, demand, kernels: None, choice: None, made: None })
     }
 
     /// What the network reads of a frame.
@@ -54,14 +58,24 @@ impl Reconstruction {
         json!({ "file": self.name, "architecture": self.weights.architecture.name(), "sha256": self.sha256 })
     }
 
-    /// The kernels in use; none before the first picture.
-    pub fn kernels(&self) -> Option<&'static str> {
-        self.choice.map(|(kernels, _)| kernels.family.name())
+    /// The kernels in use; none where no picture was reconstructed.
+    pub fn kernels(&self) -> Option<&kernels::Choice> {
+        self.kernels.as_ref().filter(|_| self.choice.is_some())
+    }
+
+    /// Chooses the kernels.
+    pub fn choose_kernels(&mut self, gpu: &Gpu, kernels: &KernelArgs) -> Result<()> {
+        self.kernels = Some(kernels.choose(gpu, Purpose::Inference)?);
+        Ok(())
+    }
+
+    fn chosen(&self, gpu: &Gpu) -> Kernels {
+        self.kernels.as_ref().map_or_else(|| Kernels::best(gpu.info()), |kernels| Kernels::of(kernels.family))
     }
 
     /// How the last picture was cut; none before the first.
     pub fn tiling(&self) -> Option<Value> {
-        let (_, Choice { tiling, bytes }) = self.choice?;
+        let Choice { tiling, bytes } = self.choice?;
         let (window, core) = (tiling.window(), tiling.core());
         Some(json!({
             "tiles": tiling.count(), "core": [core.0, core.1], "window": [window.0, window.1], "overlap": tiling.overlap(),
@@ -71,11 +85,11 @@ impl Reconstruction {
 
     /// Decides how pictures of this size are cut, without allocating anything; an error where nothing fits.
     pub fn choose(&mut self, gpu: &Gpu, size: (u32, u32), resident: bool) -> Result<Choice> {
-        let kernels = Kernels::best(gpu.info());
+        let kernels = self.chosen(gpu);
         let (info, architecture) = (gpu.info(), &self.weights.architecture);
         let task = Task { info, architecture, inputs: self.inputs, kernels, size, resident };
         let choice = task.choose(&self.demand)?;
-        self.choice = Some((kernels, choice));
+        self.choice = Some(choice);
         Ok(choice)
     }
 
@@ -120,7 +134,7 @@ impl Reconstruction {
             Some((made_for, made)) if made_for == choice => made,
             // The old one's memory is free by now.
             _ => {
-                let (kernels, tiling) = (Kernels::best(gpu.info()), choice.tiling);
+                let (kernels, tiling) = (self.chosen(gpu), choice.tiling);
                 let made = if resident && tiling.count() == 1 {
                     Denoiser::with_kernels(gpu, &self.weights, kernels, tiling.size()).map(|d| Made::Whole(Box::new(d)))
                 } else {

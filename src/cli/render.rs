@@ -1,6 +1,6 @@
 //! `limpid render`: a scene in, pictures out.
 
-use super::device::DeviceArgs;
+use super::device::{DeviceArgs, KernelArgs};
 use super::files::{Files, parse_exposure};
 use super::frame::{Frame, Work};
 use super::reconstruct::Reconstruction;
@@ -73,6 +73,8 @@ pub struct Args {
     /// Go on from the checkpoint of an interrupted render; finished frames are kept
     #[arg(long)]
     pub resume: bool,
+    #[command(flatten)]
+    pub kernels: KernelArgs,
     #[command(flatten)]
     pub device: DeviceArgs,
     /// Print one JSON object: device, settings, times, rays, what was skipped
@@ -152,6 +154,9 @@ pub fn run(args: &Args) -> Result<u8> {
     if args.tiles.any() && !args.denoise {
         return Err(Error::input("--tile and --max-memory are about the reconstruction: add --denoise"));
     }
+    if args.kernels.kernels.is_some() && !args.denoise {
+        return Err(Error::input("--kernels chooses the network's kernels: add --denoise"));
+    }
     let spec: Spec = args.scene.parse()?;
     let files = args.files(&spec)?;
     let numbers: Vec<Option<u32>> = match &args.frames {
@@ -162,8 +167,12 @@ pub fn run(args: &Args) -> Result<u8> {
     let first = args.load(&spec, numbers[0])?;
     frame_files(&files, numbers[0])?.writable(args.denoise)?;
     let load = || Reconstruction::load(args.weights.as_deref(), args.tiles.demand());
-    let network = args.denoise.then(load).transpose()?;
-    let mut work = Work::new(args, args.device.open()?, network, &stop);
+    let mut network = args.denoise.then(load).transpose()?;
+    let gpu = args.device.open()?;
+    if let Some(network) = &mut network {
+        network.choose_kernels(&gpu, &args.kernels)?;
+    }
+    let mut work = Work::new(args, gpu, network, &stop);
     let mut frame = first;
     for (i, &number) in numbers.iter().enumerate() {
         if i > 0 {
@@ -203,6 +212,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
     map.insert("scene".into(), json!(args.scene));
     map.insert("settings".into(), settings);
     let times = json!({
+        "start": totals.first.map(|first| report::ms(first.saturating_duration_since(start).as_secs_f64() * 1e3)),
         "pipelines": report::ms(work.gpu.pipeline_ms()),
         "render_device": report::ms(totals.render_device_ms),
         "render_wall": report::ms(totals.render_wall_ms),
@@ -217,7 +227,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
     map.insert("samples".into(), json!(totals.samples));
     map.insert("invalid_samples".into(), json!(totals.invalid));
     map.insert("skipped".into(), json!(totals.skipped));
-    map.insert("kernels".into(), json!(work.network.as_ref().and_then(Reconstruction::kernels)));
+    report::kernels(&mut map, work.network.as_ref().and_then(Reconstruction::kernels));
     map.insert("tiling".into(), json!(work.network.as_ref().and_then(Reconstruction::tiling)));
     map.insert("frames".into(), json!(totals.frames));
     map.insert("outputs".into(), json!(totals.outputs));

@@ -1,10 +1,12 @@
 //! What commands print on standard output: words for people, one JSON object for programs.
 
-use limpid::gpu::{Gpu, environment_settings};
+use limpid::gpu::{Gpu, Timings, environment_settings};
+use limpid::kernels::Choice;
 use limpid::{Error, Result};
 use serde_json::{Map, Value, json};
 use std::io::{ErrorKind, Write};
 use std::path::Path;
+use std::time::Instant;
 
 /// Prints on standard output; a reader who has gone away is no error.
 pub fn print(text: &str) -> Result<()> {
@@ -41,6 +43,18 @@ fn peak_process_bytes() -> Option<u64> {
 /// The driver's environment switches.
 pub fn environment() -> Value {
     Value::Object(environment_settings().into_iter().map(|(name, value)| (name.to_owned(), value.into())).collect())
+}
+
+/// The kernels that a command uses, and the checks that led to them.
+pub fn kernels(map: &mut Map<String, Value>, choice: Option<&Choice>) {
+    map.insert("kernels".into(), json!(choice.map(|choice| choice.family.name())));
+    map.insert("self_checks".into(), json!(choice.map_or(&[][..], |choice| &choice.checks)));
+}
+
+/// From the start of a command to the submission of its first frame.
+pub fn start_ms(start: Instant, first: Option<&Timings>) -> Option<Value> {
+    let submitted = first?.submitted?;
+    Some(ms(submitted.saturating_duration_since(start).as_secs_f64() * 1e3))
 }
 
 /// A path as text.

@@ -1,18 +1,22 @@
 //! `limpid train`: trains a network on scenes that it renders as it goes.
 
-use super::device::DeviceArgs;
+use super::device::{DeviceArgs, KernelArgs};
 use super::progress::{Progress, line};
+use super::report;
 use super::stop::Stop;
 use limpid::denoise::Preparation;
 use limpid::gpu::Gpu;
 use limpid::image::file::writable;
+use limpid::kernels::Choice;
+use limpid::kernels::check::Purpose;
 use limpid::net::architecture::Architecture;
+use limpid::net::kernel::Family;
 use limpid::net::weights::Weights;
 use limpid::train::checkpoint;
 use limpid::train::data::DataSettings;
 use limpid::train::run::{FIRST_LOSSES, Length, RUN, Run, RunState, StepRecord, VERIFIED_STEPS};
 use limpid::{Error, Result};
-use serde_json::json;
+use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::Write;
@@ -74,6 +78,8 @@ pub struct Args {
     #[arg(long, value_name = "WEIGHTS", conflicts_with_all = ["steps", "minutes"])]
     verify: Option<PathBuf>,
     #[command(flatten)]
+    kernels: KernelArgs,
+    #[command(flatten)]
     device: DeviceArgs,
     /// Print one JSON object at the end.
     #[arg(long)]
@@ -119,7 +125,8 @@ pub fn run(args: &Args) -> Result<u8> {
         writable(path)?;
     }
     let gpu = args.device.open()?;
-    let mut run = begin(args, &gpu)?;
+    let choice = args.kernels.choose(&gpu, Purpose::Training)?;
+    let mut run = begin(args, &gpu, choice.family)?;
     let stop = Stop::install()?;
     let mut log = open_log(&log_path, run.state.step)?;
     let command = command_line();
@@ -141,8 +148,7 @@ pub fn run(args: &Args) -> Result<u8> {
     save(&run, &gpu, &checkpoint_path, output, &command)?;
     let state = &run.state;
     if args.json {
-        let report = json!({
-            "device": gpu.info(),
+        let results = json!({
             "settings": state.data,
             "length": state.length,
             "learning_rate": state.learning_rate,
@@ -152,17 +158,25 @@ pub fn run(args: &Args) -> Result<u8> {
             "losses": state.losses,
             "finished": state.done(),
             "pipeline_ms": gpu.pipeline_ms(),
-            "peak_device_bytes": gpu.peak_bytes(),
-            "environment": limpid::gpu::environment_settings(),
             "output": output,
             "checkpoint": checkpoint_path,
         });
-        println!("{report}");
+        print_report(&gpu, &choice, results)?;
     } else {
         line(&format!("{} after {} steps, {:.0} s", output.display(), state.step, state.seconds));
     }
     args.device.check(&gpu)?;
     Ok(stop.requested().map_or(0, super::stop::Signal::exit_code))
+}
+
+/// What every command reports, and the results.
+fn print_report(gpu: &Gpu, choice: &Choice, results: Value) -> Result<()> {
+    let mut map = report::header("train", gpu);
+    report::kernels(&mut map, Some(choice));
+    if let Value::Object(results) = results {
+        map.extend(results);
+    }
+    report::print_json(&map.into())
 }
 
 fn prepare(run: &mut Run) -> Result<()> {
@@ -178,18 +192,18 @@ fn show(progress: &mut Progress, state: &RunState, record: &StepRecord) {
     progress.update(done, (state.step * u64::from(state.data.batch)) as f64 / done, " chunks");
 }
 
-fn begin(args: &Args, gpu: &Gpu) -> Result<Run> {
+fn begin(args: &Args, gpu: &Gpu, family: Family) -> Result<Run> {
     if let Some(path) = &args.resume {
         let (state, parameters, moments) = checkpoint::load(path)?;
         let mut weights = Weights::glorot(&Architecture::named(&state.architecture)?, 0);
         weights.parameters = parameters;
-        return Run::new(gpu, state, &weights, Some(&moments));
+        return Run::new(gpu, family, state, &weights, Some(&moments));
     }
     let architecture = Architecture::named(&args.architecture)?;
     let (weights, init) = initial_weights(args, &architecture, args.seed)?;
     let state =
         RunState::new(&weights.architecture.specification(), args.data(), args.learning_rate, args.length()?, init);
-    Run::new(gpu, state, &weights, None)
+    Run::new(gpu, family, state, &weights, None)
 }
 
 /// The weights that a run begins with, a file's with the file's widths, and the sha256 of that file.
@@ -259,7 +273,8 @@ fn verify(args: &Args, path: &Path) -> Result<u8> {
         )));
     }
     let gpu = args.device.open()?;
-    let mut run = Run::new(&gpu, state, &weights, None)?;
+    let choice = args.kernels.choose(&gpu, Purpose::Training)?;
+    let mut run = Run::new(&gpu, choice.family, state, &weights, None)?;
     prepare(&mut run)?;
     let mut differing = Vec::new();
     for expected in &losses {
@@ -278,10 +293,8 @@ fn verify(args: &Args, path: &Path) -> Result<u8> {
     }
     let device = recorded.metadata.get("device").map_or("unknown", String::as_str);
     if args.json {
-        println!(
-            "{}",
-            json!({ "steps": losses.len(), "differing": differing, "device": gpu.info(), "recorded_on": device })
-        );
+        let results = json!({ "steps": losses.len(), "differing": differing, "recorded_on": device });
+        print_report(&gpu, &choice, results)?;
     }
     if losses.is_empty() || !differing.is_empty() {
         return Err(Error::Gpu(format!(

@@ -33,7 +33,12 @@ impl Kernels {
     /// The fastest on a device.
     #[must_use]
     pub fn best(info: &DeviceInfo) -> Self {
-        let family = Family::choose(info);
+        Self::of(Family::choose(info))
+    }
+
+    /// The fastest of a family.
+    #[must_use]
+    pub fn of(family: Family) -> Self {
         Self { family, fusion: Fusion::best(family) }
     }
 

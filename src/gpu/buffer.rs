@@ -221,6 +221,15 @@ static NEXT_ID: AtomicU64 = AtomicU64::new(0);
 impl Gpu {
     /// A zero-filled device buffer of `bytes` (rounded up to 256).
     pub fn buffer(&self, name: &str, bytes: u64) -> Result<Buffer> {
+        let buffer = self.unset_buffer(name, bytes)?;
+        let mut recorder = self.recorder();
+        recorder.fill_zero(&buffer.all());
+        recorder.finish()?.run()?;
+        Ok(buffer)
+    }
+
+    /// The same with undefined contents, for what is written before it is read: no pass over large memory.
+    pub fn unset_buffer(&self, name: &str, bytes: u64) -> Result<Buffer> {
         let bytes = buffer_bytes(bytes);
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::STORAGE_TEXEL_BUFFER
@@ -229,7 +238,7 @@ impl Gpu {
         let memory = allocate(&self.0, name, bytes, usage, MemoryLocation::GpuOnly)?;
         let now = self.0.bytes.fetch_add(bytes, Ordering::Relaxed) + bytes;
         self.0.peak_bytes.fetch_max(now, Ordering::Relaxed);
-        let buffer = Buffer(Arc::new(BufferInner {
+        Ok(Buffer(Arc::new(BufferInner {
             raw: memory.raw,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             bytes,
@@ -237,11 +246,7 @@ impl Gpu {
             memory: Some(memory),
             views: Mutex::default(),
             shared: self.0.clone(),
-        }));
-        let mut recorder = self.recorder();
-        recorder.fill_zero(&buffer.all());
-        recorder.finish()?.run()?;
-        Ok(buffer)
+        })))
     }
 
     fn with_staging<R>(&self, f: impl FnOnce(&mut Staging) -> Result<R>) -> Result<R> {

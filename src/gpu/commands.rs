@@ -3,9 +3,9 @@
 use super::buffer::Slice;
 use super::device::{Gpu, lock, vk_error};
 use super::hazard::{AccessRange, Event};
-use super::kernel::{Kernel, Pipeline};
+use super::kernel::{Kernel, Pipeline, descriptor_type};
 use super::{Access, Binding, BindingKind, Bindings, PushBlock, Shader};
-use crate::Result;
+use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
 use std::time::Instant;
@@ -65,6 +65,8 @@ pub struct Timings {
     pub device_ms: f64,
     /// From submission to the return of the wait, milliseconds on the host.
     pub wall_ms: f64,
+    /// When it was submitted; none where nothing ran.
+    pub submitted: Option<Instant>,
     /// Shader name and milliseconds of each operation; empty unless [`Recorder::time_each`] was called.
     pub operations: Vec<(&'static str, f64)>,
 }
@@ -342,27 +344,29 @@ impl Commands {
         let set = unsafe { device.allocate_descriptor_sets(&info) }.map_err(vk_error)?[0];
         let mut buffers = Vec::with_capacity(d.slices.len());
         let mut views = Vec::with_capacity(d.slices.len());
+        let info = &self.gpu.0.info;
         for (b, slice) in d.bindings.iter().zip(&d.slices) {
+            if !info.texel_views() && slice.bytes > info.max_storage_range {
+                let most = info.max_storage_range;
+                return Err(Error::OutOfMemory(format!("{slice:?}: {} may read {most} bytes at once", info.name)));
+            }
             buffers.push([vk::DescriptorBufferInfo {
                 buffer: slice.buffer.0.raw,
                 offset: slice.offset,
                 range: slice.bytes,
             }]);
             views.push([match b.kind {
-                BindingKind::StorageBuffer => vk::BufferView::null(),
-                BindingKind::TexelBuffer(format) => slice.view(format)?,
+                BindingKind::TexelBuffer(format) if info.texel_views() => slice.view(format)?,
+                BindingKind::TexelBuffer(_) | BindingKind::StorageBuffer => vk::BufferView::null(),
             }]);
         }
         let writes: Vec<_> = (d.bindings.iter().zip(&buffers).zip(&views))
             .map(|((b, buffer), view)| {
-                let write = vk::WriteDescriptorSet::default().dst_set(set).dst_binding(b.binding);
-                match b.kind {
-                    BindingKind::StorageBuffer => {
-                        write.descriptor_type(vk::DescriptorType::STORAGE_BUFFER).buffer_info(buffer)
-                    }
-                    BindingKind::TexelBuffer(_) => {
-                        write.descriptor_type(vk::DescriptorType::STORAGE_TEXEL_BUFFER).texel_buffer_view(view)
-                    }
+                let ty = descriptor_type(b.kind, info.texel_views());
+                let write = vk::WriteDescriptorSet::default().dst_set(set).dst_binding(b.binding).descriptor_type(ty);
+                match ty {
+                    vk::DescriptorType::STORAGE_BUFFER => write.buffer_info(buffer),
+                    _ => write.texel_buffer_view(view),
                 }
             })
             .collect();
@@ -391,7 +395,7 @@ impl Commands {
         }
         let wall_ms = start.elapsed().as_secs_f64() * 1e3;
         if self.query_count == 0 {
-            return Ok(Timings { wall_ms, ..Timings::default() });
+            return Ok(Timings { wall_ms, submitted: Some(start), ..Timings::default() });
         }
         let mut ticks = vec![0u64; self.query_count as usize];
         // SAFETY: the run has ended, so all queries are available.
@@ -411,7 +415,8 @@ impl Commands {
         } else {
             Vec::new()
         };
-        Ok(Timings { device_ms: ms(ticks[0], ticks[ticks.len() - 1]), wall_ms, operations })
+        let device_ms = ms(ticks[0], ticks[ticks.len() - 1]);
+        Ok(Timings { device_ms, wall_ms, submitted: Some(start), operations })
     }
 }
 

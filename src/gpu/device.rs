@@ -6,6 +6,7 @@ use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::collections::HashMap;
 use std::mem::ManuallyDrop;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -14,12 +15,21 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 const BLOCK_BYTES: u64 = 16 << 20;
 
 /// Which device to use, and how.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct DeviceOptions {
     /// Index in [`list_devices`] or a part of the name; by default the most capable device.
     pub select: Option<String>,
     /// Turn on the Khronos validation layer; its messages are kept for [`Gpu::drain_validation`].
     pub validation: bool,
+    /// Folder for what is kept from one process to the next; none to keep nothing.
+    pub cache: Option<PathBuf>,
+}
+
+impl Default for DeviceOptions {
+    /// The most capable device, no validation, limpid's folder in the user's cache directory.
+    fn default() -> Self {
+        Self { select: None, validation: false, cache: super::environment::cache_folder() }
+    }
 }
 
 /// What a device is and can do.
@@ -55,8 +65,28 @@ pub struct DeviceInfo {
     pub max_invocations: u32,
     /// Nanoseconds a timestamp tick.
     pub timestamp_period_ns: f32,
+    /// Identity of the device, hexadecimal.
+    pub device_uuid: String,
+    /// Identity of the driver's build, hexadecimal.
+    pub driver_uuid: String,
+    /// The driver's version as its vendor counts.
+    pub driver_version: u32,
     /// Why limpid cannot use the device; empty where it can.
     pub unusable: String,
+}
+
+impl DeviceInfo {
+    /// Whether a texel view reaches as far as a storage binding. Elsewhere shaders read through storage buffers.
+    #[must_use]
+    pub fn texel_views(&self) -> bool {
+        self.max_texel_elements * 16 >= self.max_storage_range
+    }
+
+    /// The most bytes that a shader may read through one binding.
+    #[must_use]
+    pub fn max_read_range(&self) -> u64 {
+        if self.texel_views() { self.max_texel_elements * 16 } else { self.max_storage_range }
+    }
 }
 
 pub(super) struct Shared {
@@ -64,6 +94,7 @@ pub(super) struct Shared {
     pub(super) raw: ash::Device,
     pub(super) queue: Mutex<vk::Queue>,
     pub(super) queue_family: u32,
+    pub(super) disk: super::disk::Disk,
     allocator: ManuallyDrop<Mutex<Allocator>>,
     /// Pipelines by shader name and specialization words, so that equal kernels are made once.
     pub(super) kernels: Mutex<HashMap<super::kernel::KernelKey, Arc<super::kernel::Pipeline>>>,
@@ -112,6 +143,10 @@ fn memory_bytes(instance: &ash::Instance, device: vk::PhysicalDevice) -> u64 {
     memory.memory_heaps_as_slice().iter().filter(own).map(|heap| heap.size).max().unwrap_or(0)
 }
 
+pub(super) fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 fn describe(instance: &ash::Instance, device: vk::PhysicalDevice, index: usize) -> DeviceInfo {
     let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
@@ -152,6 +187,9 @@ fn describe(instance: &ash::Instance, device: vk::PhysicalDevice, index: usize) 
         max_groups: p.limits.max_compute_work_group_count[0],
         max_invocations: p.limits.max_compute_work_group_invocations,
         timestamp_period_ns: p.limits.timestamp_period,
+        device_uuid: hexadecimal(&v11.device_uuid),
+        driver_uuid: hexadecimal(&v11.driver_uuid),
+        driver_version: p.driver_version,
         unusable,
     }
 }
@@ -231,6 +269,7 @@ impl Gpu {
             allocation_sizes: gpu_allocator::AllocationSizes::new(BLOCK_BYTES, BLOCK_BYTES),
         })
         .map_err(|e| Error::Gpu(format!("memory allocator: {e}")))?;
+        let disk = super::disk::Disk::new(&instance.raw, physical, &raw, &info, options.cache.clone());
         // SAFETY: the family was requested with one queue.
         let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         log::info!("device {} ({})", info.name, info.driver);
@@ -239,6 +278,7 @@ impl Gpu {
             raw,
             queue: Mutex::new(queue),
             queue_family,
+            disk,
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
             kernels: Mutex::default(),
             bytes: AtomicU64::new(0),
@@ -259,6 +299,13 @@ impl Gpu {
     #[must_use]
     pub fn drain_validation(&self) -> Vec<String> {
         self.0.instance.messages.drain()
+    }
+
+    /// A file for what is kept from one process to the next and holds for this device, its driver and these shaders only;
+    /// none where nothing is kept.
+    #[must_use]
+    pub fn cache_file(&self, name: &str) -> Option<PathBuf> {
+        self.0.disk.file(name)
     }
 
     /// Largest sum of buffer sizes so far, bytes.
@@ -298,6 +345,7 @@ impl Drop for Shared {
             for (_, pipeline) in lock(&self.kernels).drain() {
                 pipeline.destroy(&self.raw);
             }
+            self.disk.close(&self.raw);
             ManuallyDrop::drop(&mut self.allocator);
             self.raw.destroy_device(None);
         }

@@ -16,9 +16,11 @@ fn vector_width() -> &'static str {
     "256"
 }
 
-fn cache_home() -> Option<PathBuf> {
+/// limpid's folder in the user's cache directory; none where the system names no such directory.
+pub(super) fn cache_folder() -> Option<PathBuf> {
     let env = |name| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
-    env("XDG_CACHE_HOME").or_else(|| env("HOME").map(|home| home.join(".cache")))
+    let home = env("XDG_CACHE_HOME").or_else(|| env("HOME").map(|home| home.join(".cache")));
+    home.map(|home| home.join("limpid"))
 }
 
 fn set_if_unset(name: &str, value: &std::ffi::OsStr) {
@@ -34,9 +36,9 @@ pub(super) fn prepare() {
     DONE.get_or_init(|| {
         set_if_unset("LP_NATIVE_VECTOR_WIDTH", vector_width().as_ref());
         // Mesa's disk cache does not key its code by vector width: each width gets a directory of its own.
-        if let Some(cache) = cache_home() {
+        if let Some(cache) = cache_folder() {
             let width = std::env::var("LP_NATIVE_VECTOR_WIDTH").unwrap_or_default();
-            let dir = cache.join("limpid").join(format!("mesa-{width}"));
+            let dir = cache.join(format!("mesa-{width}"));
             if std::fs::create_dir_all(&dir).is_ok() {
                 set_if_unset("MESA_SHADER_CACHE_DIR", dir.as_os_str());
             }

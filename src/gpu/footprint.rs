@@ -35,8 +35,7 @@ impl Footprint {
     /// Whether the device's limits allow it; not whether there is as much memory.
     #[must_use]
     pub fn within_limits(&self, info: &DeviceInfo) -> bool {
-        self.largest_buffer.next_multiple_of(PAGE) <= info.max_allocation
-            && self.largest_view / 16 <= info.max_texel_elements
+        self.largest_buffer.next_multiple_of(PAGE) <= info.max_allocation && self.largest_view <= info.max_read_range()
     }
 }
 

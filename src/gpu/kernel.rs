@@ -1,6 +1,6 @@
 //! Compute pipelines.
 
-use super::device::{Gpu, lock, vk_error};
+use super::device::{Gpu, Shared, lock, vk_error};
 use super::{BindingKind, Shader, Specialization};
 use crate::Result;
 use ash::vk;
@@ -47,17 +47,21 @@ fn push_bytes<S: Shader>() -> u32 {
     S::PUSH.iter().map(|m| m.offset as u32 + 4).max().unwrap_or(0)
 }
 
-fn set_layout<S: Shader>(device: &ash::Device) -> Result<vk::DescriptorSetLayout> {
+/// How a binding is made on a device.
+pub(super) fn descriptor_type(kind: BindingKind, texel_views: bool) -> vk::DescriptorType {
+    match kind {
+        BindingKind::TexelBuffer(_) if texel_views => vk::DescriptorType::STORAGE_TEXEL_BUFFER,
+        BindingKind::TexelBuffer(_) | BindingKind::StorageBuffer => vk::DescriptorType::STORAGE_BUFFER,
+    }
+}
+
+fn set_layout<S: Shader>(device: &ash::Device, texel_views: bool) -> Result<vk::DescriptorSetLayout> {
     let bindings: Vec<_> = S::BINDINGS
         .iter()
         .map(|b| {
-            let kind = match b.kind {
-                BindingKind::StorageBuffer => vk::DescriptorType::STORAGE_BUFFER,
-                BindingKind::TexelBuffer(_) => vk::DescriptorType::STORAGE_TEXEL_BUFFER,
-            };
             vk::DescriptorSetLayoutBinding::default()
                 .binding(b.binding)
-                .descriptor_type(kind)
+                .descriptor_type(descriptor_type(b.kind, texel_views))
                 .descriptor_count(1)
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
         })
@@ -67,13 +71,14 @@ fn set_layout<S: Shader>(device: &ash::Device) -> Result<vk::DescriptorSetLayout
     unsafe { device.create_descriptor_set_layout(&info, None) }.map_err(vk_error)
 }
 
-fn create<S: Shader>(device: &ash::Device, words: &[u32], subgroup: Option<u32>) -> Result<Pipeline> {
-    let code: Vec<u32> = bytemuck::pod_collect_to_vec(S::SPIRV);
+fn create<S: Shader>(shared: &Shared, words: &[u32], subgroup: Option<u32>) -> Result<Pipeline> {
+    let (device, texel_views) = (&shared.raw, shared.info.texel_views());
+    let code: Vec<u32> = bytemuck::pod_collect_to_vec(if texel_views { S::SPIRV } else { S::SPIRV_WITHOUT_TEXELS });
     // SAFETY: `code` is a module that shaderc wrote; every `info` lives until its call returns.
     unsafe {
         let module =
             device.create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&code), None).map_err(vk_error)?;
-        let set_layout = set_layout::<S>(device)?;
+        let set_layout = set_layout::<S>(device, texel_views)?;
         let range = vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::COMPUTE).size(push_bytes::<S>());
         let (sets, ranges) = ([set_layout], [range]);
         let mut info = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
@@ -98,7 +103,7 @@ fn create<S: Shader>(device: &ash::Device, words: &[u32], subgroup: Option<u32>)
         }
         let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout);
         let raw =
-            device.create_compute_pipelines(vk::PipelineCache::null(), &[info], None).map_err(|(_, e)| vk_error(e))?[0];
+            device.create_compute_pipelines(shared.disk.pipelines, &[info], None).map_err(|(_, e)| vk_error(e))?[0];
         Ok(Pipeline { raw, layout, set_layout, module })
     }
 }
@@ -122,8 +127,10 @@ impl Gpu {
             return Ok(Kernel { pipeline: pipeline.clone(), shader: PhantomData });
         }
         let start = Instant::now();
-        let pipeline = Arc::new(create::<S>(&self.0.raw, &words, subgroup)?);
-        self.0.pipeline_ns.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        let pipeline = Arc::new(create::<S>(&self.0, &words, subgroup)?);
+        let elapsed = start.elapsed();
+        log::debug!("pipeline {} {words:?}: {:.1} ms", S::NAME, elapsed.as_secs_f64() * 1e3);
+        self.0.pipeline_ns.fetch_add(elapsed.as_nanos() as u64, Ordering::Relaxed);
         kernels.insert(key, pipeline.clone());
         Ok(Kernel { pipeline, shader: PhantomData })
     }

@@ -8,6 +8,7 @@
 mod buffer;
 mod commands;
 mod device;
+mod disk;
 mod environment;
 mod footprint;
 pub mod hazard;
@@ -46,7 +47,7 @@ pub enum TexelFormat {
 pub enum BindingKind {
     /// `buffer` block.
     StorageBuffer,
-    /// `imageBuffer`.
+    /// `imageBuffer`; a storage buffer on devices without [`DeviceInfo::texel_views`].
     TexelBuffer(TexelFormat),
 }
 
@@ -96,6 +97,8 @@ pub trait Shader {
     const NAME: &'static str;
     /// The module, as little-endian words.
     const SPIRV: &'static [u8];
+    /// The same module with storage buffers in the place of texel buffers.
+    const SPIRV_WITHOUT_TEXELS: &'static [u8];
     /// Descriptors.
     const BINDINGS: &'static [Binding];
     /// Push-constant members.

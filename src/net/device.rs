@@ -137,15 +137,9 @@ impl DeviceTensor {
     }
 }
 
-/// The most texels that fit a storage binding, a multiple of what a slice's alignment holds.
-#[must_use]
-fn window_texels(info: &DeviceInfo) -> u64 {
-    (info.max_storage_range.min(info.max_texel_elements * 16) / 16) & !15
-}
-
 /// Ranges of `count` texels that each fit a storage binding and start on a slice's alignment.
 pub fn windows(info: &DeviceInfo, count: u64) -> impl Iterator<Item = (u64, u64)> + use<> {
-    let most = window_texels(info);
+    let most = (info.max_storage_range.min(info.max_read_range()) / 16) & !15;
     (0..count.div_ceil(most)).map(move |i| (i * most, most.min(count - i * most)))
 }
 

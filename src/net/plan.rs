@@ -253,7 +253,8 @@ impl Plan {
             }
             Memory::Shared => {
                 let (offsets, total) = layout.arena(architecture);
-                let arena = gpu.buffer("activations", total)?;
+                // A kernel writes every texel of a value, those that only pad too, before another reads it.
+                let arena = gpu.unset_buffer("activations", total)?;
                 let tensor = |(s, at): (&Shape, &u64)| DeviceTensor { shape: *s, slice: arena.slice(*at, s.bytes()) };
                 layout.shapes.iter().zip(&offsets).map(tensor).collect()
             }

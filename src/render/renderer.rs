@@ -338,7 +338,7 @@ mod tests {
     use crate::scene::family;
 
     fn gpu() -> Gpu {
-        Gpu::new(&DeviceOptions { select: None, validation: true }).expect("a Vulkan device")
+        Gpu::new(&DeviceOptions { validation: true, ..DeviceOptions::default() }).expect("a Vulkan device")
     }
 
     fn scene() -> Scene {

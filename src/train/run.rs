@@ -137,13 +137,19 @@ pub struct Run {
 
 impl Run {
     /// Begins a run at `parameters`, or goes on where `moments` are given too.
-    pub fn new(gpu: &Gpu, state: RunState, weights: &Weights, moments: Option<&Moments>) -> Result<Self> {
+    pub fn new(
+        gpu: &Gpu,
+        family: Family,
+        state: RunState,
+        weights: &Weights,
+        moments: Option<&Moments>,
+    ) -> Result<Self> {
         let s = &state.data;
         let size = (s.batch, s.crop, s.crop);
         let adam = Adam { learning_rate: state.learning_rate, ..Adam::default() };
         let preparation = Preparation::of_architecture(&weights.architecture)?;
         let data = Data::new(gpu, s, preparation, weights.architecture.alignment() as u32)?;
-        let mut step = Step::new(gpu, Family::choose(gpu.info()), weights, size, adam)?;
+        let mut step = Step::new(gpu, family, weights, size, adam)?;
         if let Some(moments) = moments {
             step.set_moments(moments)?;
         }

@@ -35,7 +35,9 @@ pub fn device() -> Device {
     static GPU: OnceLock<Gpu> = OnceLock::new();
     static TURN: Mutex<()> = Mutex::new(());
     let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
-    let gpu = GPU.get_or_init(|| Gpu::new(&DeviceOptions { select: None, validation: true }).expect("a Vulkan device"));
+    let gpu = GPU.get_or_init(|| {
+        Gpu::new(&DeviceOptions { validation: true, ..DeviceOptions::default() }).expect("a Vulkan device")
+    });
     Device { gpu: gpu.clone(), _turn: turn }
 }
 

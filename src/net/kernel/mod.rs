@@ -21,25 +21,46 @@ pub enum Family {
     },
 }
 
+/// A family by its name: as a device runs it, or why the device does not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Offer {
+    /// [`Family::name`].
+    pub name: &'static str,
+    /// The family, or the reason.
+    pub family: Result<Family, String>,
+}
+
+type Fit = fn(&DeviceInfo) -> Result<Family, String>;
+
+/// All families, the fastest first; the last runs everywhere.
+const FAMILIES: [(&str, Fit); 2] = [("cpu", Family::cpu), ("portable", |_| Ok(Family::Portable))];
+
 impl Family {
-    /// The family for a device.
-    #[must_use]
-    pub fn choose(info: &DeviceInfo) -> Self {
-        let lanes = info.subgroup_size;
-        if info.is_cpu && info.subgroup_shuffle && (lanes == 8 || lanes == 16) {
-            Self::Cpu { lanes }
-        } else {
-            Self::Portable
+    fn cpu(info: &DeviceInfo) -> Result<Self, String> {
+        match info.subgroup_size {
+            _ if !info.is_cpu => Err("it is for drivers that run on the CPU".to_owned()),
+            _ if !info.subgroup_shuffle => Err("the device has no subgroup shuffle".to_owned()),
+            lanes @ (8 | 16) => Ok(Self::Cpu { lanes }),
+            lanes => Err(format!("it needs subgroups of 8 or 16 invocations, the device's have {lanes}")),
         }
     }
 
-    /// The families that a device can run.
+    /// Every family, the fastest first, as a device runs it or not.
+    #[must_use]
+    pub fn offers(info: &DeviceInfo) -> Vec<Offer> {
+        FAMILIES.iter().map(|(name, fit)| Offer { name, family: fit(info) }).collect()
+    }
+
+    /// The fastest family that a device's facts allow; [`crate::kernels::choose`] also checks that it computes right.
+    #[must_use]
+    pub fn choose(info: &DeviceInfo) -> Self {
+        Self::offers(info).into_iter().find_map(|offer| offer.family.ok()).unwrap_or(Self::Portable)
+    }
+
+    /// The families that a device can run, `portable` first.
     #[must_use]
     pub fn all(info: &DeviceInfo) -> Vec<Self> {
-        match Self::choose(info) {
-            Self::Portable => vec![Self::Portable],
-            cpu @ Self::Cpu { .. } => vec![Self::Portable, cpu],
-        }
+        Self::offers(info).into_iter().rev().filter_map(|offer| offer.family.ok()).collect()
     }
 
     /// Output channels that lie side by side in packed weights.

@@ -6,6 +6,7 @@ pub mod conv2d;
 pub mod leaky_relu;
 pub mod max_pool2d;
 pub mod upsample2d;
+pub mod winograd;
 
 pub use case::{Bounds, Case, Data, Gradients, Pattern, cases};
 
