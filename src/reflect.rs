@@ -49,9 +49,24 @@ fn literal(operand: &Operand) -> u32 {
     }
 }
 
+/// The module without `OpExecutionModeId` (a workgroup size from specialization constants), which rspirv does not load.
+fn loadable(words: &[u32]) -> Vec<u32> {
+    const HEADER: usize = 5;
+    let mut out = words[..HEADER].to_vec();
+    let mut at = HEADER;
+    while at < words.len() {
+        let (count, opcode) = ((words[at] >> 16) as usize, words[at] & 0xffff);
+        if opcode != Op::ExecutionModeId as u32 {
+            out.extend_from_slice(&words[at..at + count]);
+        }
+        at += count;
+    }
+    out
+}
+
 impl Tables {
     fn new(words: &[u32]) -> Self {
-        let module = load_words(words).expect("shaderc wrote SPIR-V that does not parse");
+        let module = load_words(loadable(words)).expect("shaderc wrote SPIR-V that does not parse");
         let mut tables = Self {
             names: HashMap::new(),
             member_names: HashMap::new(),

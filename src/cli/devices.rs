@@ -58,13 +58,26 @@ fn describe(device: &DeviceInfo, is_default: bool) -> String {
     row("Vulkan", device.api_version.clone());
     row("subgroup", format!("{} invocations", device.subgroup_size));
     row("memory", format!("{} MiB", device.memory_bytes >> 20));
+    let shapes: Vec<String> = device.cooperative_matrices.iter().map(ToString::to_string).collect();
+    row(
+        "matrices",
+        if shapes.is_empty() { "none".to_owned() } else { format!("f16, sums f32: {}", shapes.join(", ")) },
+    );
     row("binding", mib(device.max_storage_range));
     row("allocation", mib(device.max_allocation));
     let families = families(device);
     match families.split_first() {
         None => row("unusable", device.unusable.clone()),
-        Some((chosen, [])) => row("kernels", format!("{chosen}; not run here: cpu")),
-        Some((chosen, others)) => row("kernels", format!("{chosen}; also {}", others.join(", "))),
+        Some((chosen, others)) => {
+            let missing: Vec<_> = Family::NAMES.into_iter().filter(|name| !families.contains(name)).collect();
+            let mut text = (*chosen).to_owned();
+            for (what, names) in [("also", others), ("not run here:", &missing)] {
+                if !names.is_empty() {
+                    text += &format!("; {what} {}", names.join(", "));
+                }
+            }
+            row("kernels", text);
+        }
     }
     text.trim_end().to_owned()
 }
