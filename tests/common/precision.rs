@@ -3,6 +3,7 @@
 
 use half::f16;
 use limpid::gpu::DeviceInfo;
+use limpid::net::architecture::Architecture;
 use limpid::net::kernel::Family;
 use limpid::net::layer::Data;
 use limpid::net::tensor::Tensor;
@@ -33,6 +34,32 @@ pub fn network_limit(family: Family) -> f64 {
         Family::Portable | Family::Cpu { .. } => 1e-5,
         Family::Coop(_) => 2e-3,
     }
+}
+
+/// The same in f64.
+pub fn operand_f64(family: Family, tensor: &Tensor<f64>) -> Tensor<f64> {
+    match family {
+        Family::Portable | Family::Cpu { .. } => tensor.clone(),
+        Family::Coop(_) => tensor.map(|v| f16::from_f64(v).to_f64()),
+    }
+}
+
+/// Relative L2 error of the gradient of any of a network's tensors, against a reference that rounds values and weights as the
+/// kernels do.
+///
+/// f32: 1e-5. With f16 operands each convolution on the way rounds the gradient, by 2^-10 / sqrt(12) of its size at most in
+/// the root mean square, and the roundings of different layers are independent.
+pub fn gradient_limit(family: Family, architecture: &Architecture) -> f64 {
+    let convolutions = architecture.nodes().iter().filter(|n| n.parameters.is_some()).count();
+    match family {
+        Family::Portable | Family::Cpu { .. } => 1e-5,
+        Family::Coop(_) => (convolutions as f64 / 12.0).sqrt() / 1024.0,
+    }
+}
+
+/// The families of `families` that compute in f32 throughout.
+pub fn f32_families(info: &DeviceInfo) -> Vec<Family> {
+    families(info).into_iter().filter(|f| !matches!(f, Family::Coop(_))).collect()
 }
 
 /// The device's families; says which of the others no test runs.
