@@ -6,11 +6,16 @@ use common::compare::{close, require, same_bits};
 use common::networks::{tiny, weights};
 use common::{goldens, gpu, precision};
 use limpid::gpu::Gpu;
+use limpid::net::architecture::Architecture;
 use limpid::net::device::{Channels, DeviceTensor, Shape};
 use limpid::net::kernel::{Family, conv2d};
+use limpid::net::weights::Weights;
 use limpid::train::adam::Adam;
+use limpid::train::checkpoint;
+use limpid::train::data::DataSettings;
 use limpid::train::kernel::conv2d as conv_grad;
 use limpid::train::loss_scale::{GROWTH_INTERVAL, State};
+use limpid::train::run::{Length, RunState};
 use limpid::train::step::{Moments, Step};
 
 const LARGEST: f32 = 16_777_216.0;
@@ -136,5 +141,25 @@ fn operands_beyond_the_range_of_f16() {
         rec.finish().unwrap().run().unwrap();
         let values: Vec<f32> = gpu.download(&dw.all()).unwrap();
         assert_eq!(values[..9].iter().all(|v| v.is_finite()), finite, "{value}: {values:?}");
+    }
+}
+
+/// A checkpoint keeps the loss scale, or that there is none, and refuses one that no run comes to.
+#[test]
+fn checkpoints_keep_the_loss_scale() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run.checkpoint");
+    let weights = Weights::glorot(&Architecture::seed(), 1);
+    let zeros = vec![0.0; weights.parameters.len()];
+    let run = RunState::new("seed", DataSettings::default(), 1e-3, Length::Steps(8), None);
+    let scales = [(8192.0, true), (LARGEST, true), (1000.0, false), (0.5, false), (2.0 * LARGEST, false)];
+    let states = scales.map(|(scale, valid)| (Some(State { scale, good_steps: 7 }), valid));
+    for (loss_scale, valid) in [(None, true)].into_iter().chain(states) {
+        let moments = Moments { step: 0, mean: zeros.clone(), mean_square: zeros.clone(), loss_scale };
+        checkpoint::save(&path, &run, &weights, &moments).unwrap();
+        match checkpoint::load(&path) {
+            Ok((_, _, read)) => assert!(valid && read == moments, "{loss_scale:?}: {:?}", read.loss_scale),
+            Err(e) => assert!(!valid && e.to_string().contains("power of two"), "{loss_scale:?}: {e}"),
+        }
     }
 }
