@@ -49,9 +49,24 @@ fn literal(operand: &Operand) -> u32 {
     }
 }
 
+/// The module without `OpExecutionModeId` (a workgroup size from specialization constants), which rspirv does not load; and
+/// those instructions.
+pub fn loadable(words: &[u32]) -> (Vec<u32>, Vec<u32>) {
+    const HEADER: usize = 5;
+    let (mut kept, mut modes) = (words[..HEADER].to_vec(), Vec::new());
+    let mut at = HEADER;
+    while at < words.len() {
+        let (count, opcode) = ((words[at] >> 16) as usize, words[at] & 0xffff);
+        let to = if opcode == Op::ExecutionModeId as u32 { &mut modes } else { &mut kept };
+        to.extend_from_slice(&words[at..at + count]);
+        at += count;
+    }
+    (kept, modes)
+}
+
 impl Tables {
     fn new(words: &[u32]) -> Self {
-        let module = load_words(words).expect("shaderc wrote SPIR-V that does not parse");
+        let module = load_words(loadable(words).0).expect("shaderc wrote SPIR-V that does not parse");
         let mut tables = Self {
             names: HashMap::new(),
             member_names: HashMap::new(),

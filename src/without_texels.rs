@@ -38,7 +38,8 @@ fn instruction(op: Op, ty: Option<u32>, result: Option<u32>, operands: Vec<Opera
 /// # Panics
 /// Where a texel buffer is used in another way than `imageLoad` of `rgba32f` or `r32f`.
 pub fn without_texels(words: &[u32]) -> Vec<u32> {
-    let module = load_words(words).expect("shaderc wrote SPIR-V that does not parse");
+    let (kept, modes) = crate::reflect::loadable(words);
+    let module = load_words(kept).expect("shaderc wrote SPIR-V that does not parse");
     let images = image_variables(&module);
     if images.is_empty() {
         return words.to_vec();
@@ -46,7 +47,21 @@ pub fn without_texels(words: &[u32]) -> Vec<u32> {
     let mut rewrite = Rewrite::new(module);
     let texels = rewrite.declare(&images);
     rewrite.bodies(&texels);
-    rewrite.module.assemble()
+    with_modes(rewrite.module.assemble(), &modes)
+}
+
+/// The module with execution modes where they belong, after the entry point.
+fn with_modes(mut words: Vec<u32>, modes: &[u32]) -> Vec<u32> {
+    const HEADER: usize = 5;
+    let mut at = HEADER;
+    loop {
+        let (count, opcode) = ((words[at] >> 16) as usize, words[at] & 0xffff);
+        at += count;
+        if opcode == Op::EntryPoint as u32 {
+            words.splice(at..at, modes.iter().copied());
+            return words;
+        }
+    }
 }
 
 /// Every texel buffer: its variable and whether its texels are single floats.

@@ -20,17 +20,17 @@ fn gpu_with(cache: Option<&Path>) -> Gpu {
 }
 
 /// What a right kernel makes, off by twice what rounding may do (and a little) in the last element of one part.
-fn lying(row: &Row, about: Part) -> Result<Tensor> {
-    let mut result = truth(row)?;
+fn lying(family: Family, row: &Row, about: Part) -> Result<Tensor> {
+    let mut result = truth(family, row)?;
     if row.part == about {
-        let bound = row.expected().1.data.last().copied().expect("an element");
+        let bound = row.expected(family).1.data.last().copied().expect("an element");
         *result.data.last_mut().expect("an element") += 2.0 * bound as f32 + 1e-3;
     }
     Ok(result)
 }
 
-fn truth(row: &Row) -> Result<Tensor> {
-    Ok(row.expected().0.to_f32())
+fn truth(family: Family, row: &Row) -> Result<Tensor> {
+    Ok(row.expected(family).0.to_f32())
 }
 
 fn unreachable(_: Family, row: &Row) -> Result<Tensor> {
@@ -70,18 +70,18 @@ fn a_wrong_result_of_any_kernel_falls_back_to_portable_and_says_so() {
     let Some(best) = faster(&gpu) else { return };
     for purpose in [Purpose::Inference, Purpose::Training] {
         for wrong in rows(best, purpose) {
-            let choice = choose_with(&gpu, None, purpose, |_, row| lying(row, wrong.part)).unwrap();
+            let choice = choose_with(&gpu, None, purpose, |family, row| lying(family, row, wrong.part)).unwrap();
             assert_eq!(choice.family, Family::Portable);
             let [warning] = &choice.warnings()[..] else { panic!("{:?}", choice.warnings()) };
             for part in [best.name(), wrong.part.name(), "`portable`", "off by more than"] {
                 assert!(warning.contains(part), "no {part}: {warning}");
             }
             // By name there is no way around.
-            let forced = choose_with(&gpu, Some(best.name()), purpose, |_, row| lying(row, wrong.part));
+            let forced = choose_with(&gpu, Some(best.name()), purpose, |family, row| lying(family, row, wrong.part));
             let message = forced.expect_err("refused").to_string();
             assert!(message.contains(best.name()) && message.contains(wrong.part.name()), "{message}");
         }
-        let choice = choose_with(&gpu, None, purpose, |_, row| truth(row)).unwrap();
+        let choice = choose_with(&gpu, None, purpose, truth).unwrap();
         assert_eq!((choice.family, choice.warnings()), (best, Vec::new()));
     }
 }
@@ -93,7 +93,7 @@ fn the_verdict_is_remembered_and_a_forced_family_is_checked_again() {
     let Some(best) = faster(&gpu) else { return };
     let purpose = Purpose::Inference;
     let remembered = |choice: &Choice| choice.checks.iter().map(|check| check.remembered).collect::<Vec<_>>();
-    let lie = |_: Family, row: &Row| lying(row, Part::Forward);
+    let lie = |family: Family, row: &Row| lying(family, row, Part::Forward);
     let first = choose_with(&gpu, None, purpose, lie).unwrap();
     assert_eq!((first.family, remembered(&first)), (Family::Portable, vec![false]));
     // Another process of the same device.
@@ -102,9 +102,9 @@ fn the_verdict_is_remembered_and_a_forced_family_is_checked_again() {
     assert_eq!((second.family, remembered(&second)), (Family::Portable, vec![true]));
     assert_eq!(second.checks[0].failure, first.checks[0].failure);
     // What is wanted for training was not checked yet.
-    assert_eq!(remembered(&choose_with(&gpu, None, Purpose::Training, |_, row| truth(row)).unwrap()), [false]);
+    assert_eq!(remembered(&choose_with(&gpu, None, Purpose::Training, truth).unwrap()), [false]);
     // A failure is not believed where the family is forced; what passes then is believed.
-    let forced = choose_with(&gpu, Some(best.name()), purpose, |_, row| truth(row)).unwrap();
+    let forced = choose_with(&gpu, Some(best.name()), purpose, truth).unwrap();
     assert_eq!((forced.family, remembered(&forced)), (best, vec![false]));
     let last = choose_with(&gpu, None, purpose, unreachable).unwrap();
     assert_eq!((last.family, remembered(&last)), (best, vec![true]));
@@ -117,16 +117,16 @@ fn damaged_and_unwritable_files_are_no_errors() {
     let gpu = gpu_with(Some(folder.path()));
     let Some(best) = faster(&gpu) else { return };
     let purpose = Purpose::Inference;
-    choose_with(&gpu, None, purpose, |_, row| truth(row)).unwrap();
+    choose_with(&gpu, None, purpose, truth).unwrap();
     let [file] = &files(folder.path())[..] else { panic!("{:?}", files(folder.path())) };
     for damage in [&b""[..], b"\xff", b"\"pass", b"{\"failed\":"] {
         std::fs::write(file, damage).unwrap();
-        let choice = choose_with(&gpu, None, purpose, |_, row| truth(row)).unwrap();
+        let choice = choose_with(&gpu, None, purpose, truth).unwrap();
         assert!(choice.family == best && !choice.checks[0].remembered, "{damage:?}");
     }
     // A file is in the place of the folder.
     let gpu = gpu_with(Some(file));
-    let choice = choose_with(&gpu, None, purpose, |_, row| truth(row)).unwrap();
+    let choice = choose_with(&gpu, None, purpose, truth).unwrap();
     assert!(choice.family == best && !choice.checks[0].remembered);
 }
 

@@ -5,6 +5,7 @@ mod common;
 
 use common::compare::{l2_close, require, same_bits};
 use common::networks::{cut, deep, forward, small_base, tiny, weights, wide};
+use common::precision::{families, network_limit};
 use common::{goldens, gpu};
 use limpid::net::architecture::Architecture;
 use limpid::net::base::Widths;
@@ -43,10 +44,10 @@ fn matches_pytorch(architecture: &Architecture, size: [usize; 3]) {
     let case = goldens::network_case(architecture, size);
     let (weights, input) = (weights(architecture), input(architecture, size, &format!("{case}/input")));
     let expected = &goldens[&format!("{case}/output")];
-    for family in Family::all(gpu.info()) {
+    for family in families(gpu.info()) {
         let outputs = PLANS.map(|plan| forward(&gpu, &weights, family, plan, &input));
         let what = format!("{case}, {}", family.name());
-        require(&what, l2_close(&outputs[0].data, expected, 1e-5));
+        require(&what, l2_close(&outputs[0].data, expected, network_limit(family)));
         for (plan, output) in PLANS.iter().zip(&outputs).skip(1) {
             require(&format!("{what}, {plan:?}"), same_bits(&output.data, &outputs[0].data));
         }
@@ -106,11 +107,11 @@ fn odd_sizes_match_the_reference() {
     for size in [[1, 2, 2], [3, 2, 34], [1, 26, 14], [2, 70, 10]] {
         let input = input(&architecture, size, "odd");
         let expected = reference::forward(&architecture, &weights.to_f64(), &input.to_f64()).pop().unwrap();
-        for family in Family::all(gpu.info()) {
+        for family in families(gpu.info()) {
             let outputs = PLANS.map(|plan| forward(&gpu, &weights, family, plan, &input));
             for (plan, output) in PLANS.iter().zip(&outputs) {
                 let what = format!("{size:?}, {}, {plan:?}", family.name());
-                require(&what, l2_close(&output.data, &expected.data, 1e-5));
+                require(&what, l2_close(&output.data, &expected.data, network_limit(family)));
                 require(&what, same_bits(&output.data, &outputs[0].data));
             }
         }
@@ -152,7 +153,7 @@ fn large_tensors(architecture: &Architecture, plans: impl Fn(Family) -> Vec<(Mem
         let output = reference::forward(architecture, &weights.to_f64(), &part).pop().unwrap();
         (x, cut(&output, [0, x - from, height, columns]))
     });
-    for family in Family::all(gpu.info()) {
+    for family in families(gpu.info()) {
         for plan in plans(family) {
             let output = forward(&gpu, &weights, family, plan, &input);
             for (x, expected) in &strips {
@@ -160,7 +161,7 @@ fn large_tensors(architecture: &Architecture, plans: impl Fn(Family) -> Vec<(Mem
                     // Eight rows at a time, so that a single wrong one stands out.
                     let (part, expected) = (cut(&output, [y, *x, 8, 24]), cut(expected, [y, 0, 8, 24]));
                     let what = format!("{}, {plan:?}, rows from {y}, columns from {x}", family.name());
-                    require(&what, l2_close(&part.data, &expected.data, 1e-5));
+                    require(&what, l2_close(&part.data, &expected.data, network_limit(family)));
                 }
             }
         }

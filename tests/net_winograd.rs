@@ -70,7 +70,7 @@ fn channels(t: &Tensor<f32>, from: usize, to: usize) -> Tensor<f32> {
 #[test]
 fn winograd_kernels_equal_the_reference() {
     let gpu = gpu();
-    let families: Vec<_> = Family::all(gpu.info()).into_iter().filter(|f| *f != Family::Portable).collect();
+    let families: Vec<_> = Family::all(gpu.info()).into_iter().filter(|f| matches!(f, Family::Cpu { .. })).collect();
     if families.is_empty() {
         println!("NOT RUN: the device has no family with Winograd kernels");
     }

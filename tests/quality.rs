@@ -5,7 +5,6 @@ mod common;
 use common::gpu;
 use limpid::denoise::{Axes, Denoiser, Guides, embedded_weights};
 use limpid::metrics;
-use limpid::net::kernel::Family;
 use limpid::render::{Estimator, Renderer, Sampler, Settings};
 use limpid::scene::family;
 

@@ -10,6 +10,7 @@ layout(set = 0, binding = 1, std430) readonly buffer StepFactors { float step_fa
 layout(set = 0, binding = 2, std430) buffer Parameter { vec4 parameter[]; };
 layout(set = 0, binding = 3, std430) buffer FirstMoment { vec4 first_moment[]; };
 layout(set = 0, binding = 4, std430) buffer SecondMoment { vec4 second_moment[]; };
+layout(set = 0, binding = 5, std430) readonly buffer Skip { uint skip[]; };  // not 0: everything stays as it is
 
 layout(push_constant) uniform Push {
     uint count;
@@ -20,7 +21,7 @@ layout(push_constant) uniform Push {
 
 void main() {
     const uint index = flat_index();
-    if (index >= count) return;
+    if (index >= count || skip[0] != 0) return;
     const vec4 g = imageLoad(gradient, int(index));
     const vec4 m = beta1 * first_moment[index] + (1.0 - beta1) * g;
     const vec4 v = beta2 * second_moment[index] + (1.0 - beta2) * g * g;

@@ -118,6 +118,11 @@ fn describe(device: &DeviceInfo, kernels: &Kernels, is_default: bool) -> String 
     row("Vulkan", device.api_version.clone());
     row("subgroup", format!("{} invocations", device.subgroup_size));
     row("memory", format!("{} MiB", device.memory_bytes >> 20));
+    let shapes: Vec<String> = device.cooperative_matrices.iter().map(ToString::to_string).collect();
+    row(
+        "matrices",
+        if shapes.is_empty() { "none".to_owned() } else { format!("f16, sums f32: {}", shapes.join(", ")) },
+    );
     row("binding", mib(device.max_storage_range));
     row("allocation", mib(device.max_allocation));
     if !device.unusable.is_empty() {

@@ -1,8 +1,9 @@
 //! The device, its queue and its memory.
 
 use super::instance::{Instance, no_device};
+use super::matrix::{self, MatrixShape};
 use crate::{Error, Result};
-use ash::vk;
+use ash::{khr, vk};
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::collections::HashMap;
 use std::mem::ManuallyDrop;
@@ -51,6 +52,12 @@ pub struct DeviceInfo {
     pub subgroup_size: u32,
     /// Whether compute shaders may shuffle within a subgroup.
     pub subgroup_shuffle: bool,
+    /// Shapes of cooperative matrices of f16 with sums in f32; empty where the device has none.
+    pub cooperative_matrices: Vec<MatrixShape>,
+    /// Whether the driver is known to make cooperative matrices without hardware for them.
+    pub emulates_matrices: bool,
+    /// Memory that the invocations of a workgroup share, bytes.
+    pub max_shared_bytes: u32,
     /// Largest storage-buffer binding, bytes.
     pub max_storage_range: u64,
     /// Largest texel-buffer view, texels.
@@ -147,10 +154,13 @@ pub(super) fn hexadecimal(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-fn describe(instance: &ash::Instance, device: vk::PhysicalDevice, index: usize) -> DeviceInfo {
+fn describe(instance: &Instance, device: vk::PhysicalDevice, index: usize) -> DeviceInfo {
+    let cooperative_matrices = matrix::shapes(instance, device);
+    let instance = &instance.raw;
     let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
-    let mut all = vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12);
+    let mut v13 = vk::PhysicalDeviceVulkan13Properties::default();
+    let mut all = vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12).push_next(&mut v13);
     // SAFETY: `device` came from this instance; the chain lives until the call returns.
     unsafe { instance.get_physical_device_properties2(device, &mut all) };
     let p = all.properties;
@@ -180,6 +190,9 @@ fn describe(instance: &ash::Instance, device: vk::PhysicalDevice, index: usize) 
         subgroup_size: v11.subgroup_size,
         subgroup_shuffle: v11.subgroup_supported_operations.contains(vk::SubgroupFeatureFlags::SHUFFLE)
             && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE),
+        emulates_matrices: matrix::emulated(&cooperative_matrices, v12.driver_id, &v13),
+        cooperative_matrices,
+        max_shared_bytes: p.limits.max_compute_shared_memory_size,
         max_storage_range: u64::from(p.limits.max_storage_buffer_range),
         max_texel_elements: u64::from(p.limits.max_texel_buffer_elements),
         max_allocation: v11.max_memory_allocation_size,
@@ -197,7 +210,7 @@ fn describe(instance: &ash::Instance, device: vk::PhysicalDevice, index: usize) 
 fn enumerate(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
     // SAFETY: plain query on a live instance.
     let devices = unsafe { instance.raw.enumerate_physical_devices() }.map_err(vk_error)?;
-    Ok(devices.into_iter().enumerate().map(|(i, d)| (d, describe(&instance.raw, d, i))).collect())
+    Ok(devices.into_iter().enumerate().map(|(i, d)| (d, describe(instance, d, i))).collect())
 }
 
 /// All Vulkan devices, usable or not.
@@ -237,17 +250,30 @@ fn pick(
     chosen.ok_or_else(no_device)
 }
 
-fn create_device(instance: &ash::Instance, physical: vk::PhysicalDevice, family: u32) -> Result<ash::Device> {
+fn create_device(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    family: u32,
+    matrices: bool,
+) -> Result<ash::Device> {
     let priorities = [1.0];
     let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&priorities)];
-    // All of these are mandatory in Vulkan 1.3.
-    let mut v12 = vk::PhysicalDeviceVulkan12Features::default().host_query_reset(true).vulkan_memory_model(true);
+    // All of these are mandatory in Vulkan 1.3, but for f16.
+    let mut v12 = vk::PhysicalDeviceVulkan12Features::default()
+        .host_query_reset(true)
+        .vulkan_memory_model(true)
+        .shader_float16(matrices);
     let mut v13 = vk::PhysicalDeviceVulkan13Features::default()
         .synchronization2(true)
         .maintenance4(true)
         .subgroup_size_control(true)
         .compute_full_subgroups(true);
-    let info = vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut v12).push_next(&mut v13);
+    let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default().cooperative_matrix(true);
+    let extensions = [khr::cooperative_matrix::NAME.as_ptr()];
+    let mut info = vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut v12).push_next(&mut v13);
+    if matrices {
+        info = info.enabled_extension_names(&extensions).push_next(&mut cooperative);
+    }
     // SAFETY: `physical` came from this instance; `info` lives until the call returns.
     unsafe { instance.create_device(physical, &info, None) }.map_err(vk_error)
 }
@@ -259,7 +285,7 @@ impl Gpu {
         let instance = Instance::new(options.validation)?;
         let (physical, info) = pick(enumerate(&instance)?, options.select.as_deref())?;
         let queue_family = compute_family(&instance.raw, physical).ok_or_else(no_device)?;
-        let raw = create_device(&instance.raw, physical, queue_family)?;
+        let raw = create_device(&instance.raw, physical, queue_family, !info.cooperative_matrices.is_empty())?;
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.raw.clone(),
             device: raw.clone(),

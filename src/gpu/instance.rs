@@ -31,7 +31,7 @@ pub(super) struct Instance {
     /// Boxed: the messenger holds its address.
     pub(super) messages: Box<Messages>,
     // Unloads the library; dropped last.
-    _entry: ash::Entry,
+    pub(super) entry: ash::Entry,
 }
 
 unsafe extern "system" fn on_message(
@@ -84,7 +84,7 @@ impl Instance {
             other => super::device::vk_error(other),
         })?;
         let messages = Box::<Messages>::default();
-        let mut this = Self { raw, messenger: None, messages, _entry: entry };
+        let mut this = Self { raw, messenger: None, messages, entry };
         if validation {
             this.listen()?;
         }
@@ -92,7 +92,7 @@ impl Instance {
     }
 
     fn listen(&mut self) -> Result<()> {
-        let loader = ext::debug_utils::Instance::new(&self._entry, &self.raw);
+        let loader = ext::debug_utils::Instance::new(&self.entry, &self.raw);
         let user = std::ptr::from_ref::<Messages>(&self.messages).cast_mut().cast::<c_void>();
         let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
             .message_severity(

@@ -14,6 +14,7 @@ mod footprint;
 pub mod hazard;
 mod instance;
 mod kernel;
+mod matrix;
 
 pub use buffer::{Buffer, Slice};
 pub use commands::{Commands, Recorder, Timings};
@@ -21,6 +22,7 @@ pub use device::{DeviceInfo, DeviceOptions, Gpu, list_devices};
 pub use environment::settings as environment_settings;
 pub use footprint::Footprint;
 pub use kernel::Kernel;
+pub use matrix::MatrixShape;
 
 /// What a shader does with a descriptor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

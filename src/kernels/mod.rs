@@ -61,8 +61,8 @@ pub fn choose_with(
     purpose: Purpose,
     mut run: impl FnMut(Family, &Row) -> Result<Tensor>,
 ) -> Result<Choice> {
-    let offers = Family::offers(gpu.info());
     if let Some(wanted) = wanted {
+        let offers = Family::offers(gpu.info());
         let family = offers.iter().find(|o| o.name == wanted).and_then(|o| o.family.clone().ok());
         let family = family.ok_or_else(|| refusal(&gpu.info().name, wanted, &offers))?;
         let check = self_check(gpu, family, purpose, true, &mut run)?;
@@ -72,7 +72,7 @@ pub fn choose_with(
         return Ok(Choice { family, checks: check.into_iter().collect() });
     }
     let mut checks = Vec::new();
-    for family in offers.into_iter().filter_map(|offer| offer.family.ok()) {
+    for family in Family::candidates(gpu.info()) {
         let check = self_check(gpu, family, purpose, false, &mut run)?;
         let passed = check.as_ref().is_none_or(|check| check.failure.is_none());
         checks.extend(check);

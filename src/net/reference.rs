@@ -47,6 +47,18 @@ pub fn backward(
     values: &[Tensor<f64>],
     output_gradient: &Tensor<f64>,
 ) -> Gradients {
+    let exact = |t: &Tensor<f64>| t.clone();
+    backward_with(architecture, parameters, values, output_gradient, &exact)
+}
+
+/// [`backward`] with what `operand` makes of the values and weights that convolutions multiply.
+pub fn backward_with(
+    architecture: &Architecture,
+    parameters: &[f64],
+    values: &[Tensor<f64>],
+    output_gradient: &Tensor<f64>,
+    operand: &dyn Fn(&Tensor<f64>) -> Tensor<f64>,
+) -> Gradients {
     let nodes = architecture.nodes();
     let mut gradient = Gradients {
         parameters: vec![0.0; parameters.len()],
@@ -63,7 +75,7 @@ pub fn backward(
                     None => dy,
                 };
                 let (weight, _) = conv_parameters(&node.parameters, parameters, cin, cout);
-                let all = conv2d::reference_backward(&values[node.inputs[0]], &weight, &dy);
+                let all = conv2d::reference_backward(&operand(&values[node.inputs[0]]), &operand(&weight), &dy);
                 if let Some(ConvParameters { weight, bias }) = &node.parameters {
                     gradient.parameters[weight.clone()].copy_from_slice(&all.weight.data);
                     gradient.parameters[bias.clone()].copy_from_slice(&all.bias);

@@ -6,6 +6,7 @@ pub mod checkpoint;
 pub mod data;
 pub mod kernel;
 pub mod loss;
+pub mod loss_scale;
 pub mod reference;
 pub mod run;
 pub mod schedule;

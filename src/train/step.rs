@@ -2,6 +2,7 @@
 
 use super::adam::Adam;
 use super::backward::Backward;
+use super::loss_scale::{self, LossScale};
 use crate::Result;
 use crate::gpu::{Buffer, Commands, Gpu, Recorder, Timings};
 use crate::net::architecture::Architecture;
@@ -33,6 +34,8 @@ pub struct Moments {
     pub mean: Vec<f32>,
     /// Mean of its square, for each parameter.
     pub mean_square: Vec<f32>,
+    /// The loss scale of the next step; none for kernels without f16.
+    pub loss_scale: Option<loss_scale::State>,
 }
 
 /// A network in training at one batch size.
@@ -48,6 +51,10 @@ pub struct Step {
     mean_square: Buffer,
     factors: Buffer,
     adam: Adam,
+    /// For kernels with f16.
+    loss_scale: Option<LossScale>,
+    /// Not 0 where Adam skips the step.
+    skip: Buffer,
     steps_done: u64,
     commands: Commands,
 }
@@ -64,6 +71,14 @@ impl Step {
         let like_parameters = |name| gpu.buffer(name, parameters.flat.bytes());
         let (mean, mean_square) = (like_parameters("Adam mean")?, like_parameters("Adam mean square")?);
         let factors = gpu.buffer("Adam factors", 8)?;
+        let loss_scale = match family {
+            Family::Portable | Family::Cpu { .. } => None,
+            Family::Coop(_) => Some(LossScale::new(gpu)?),
+        };
+        let skip = match &loss_scale {
+            Some(scale) => scale.skip.clone(),
+            None => gpu.buffer("skip", 4)?,
+        };
         let commands = gpu.recorder().finish()?;
         let gpu = gpu.clone();
         let mut this = Self {
@@ -77,6 +92,8 @@ impl Step {
             mean_square,
             factors,
             adam,
+            loss_scale,
+            skip,
             steps_done: 0,
             commands,
         };
@@ -91,7 +108,22 @@ impl Step {
         let (gpu, parameters) = (&self.gpu, &self.parameters);
         self.plan.record(rec, parameters)?;
         record_loss(gpu, rec, self.plan.output(), &self.target, self.backward.output_gradient(), &self.loss)?;
+        if let Some(scale) = &self.loss_scale {
+            scale.scale(rec, self.backward.output_gradient())?;
+        }
         self.backward.record(rec, parameters, &self.plan)?;
+        if let Some(scale) = &self.loss_scale {
+            scale.unscale(rec, &self.backward.flat)?;
+        }
+        self.record_adam(rec)?;
+        if let Some(scale) = &self.loss_scale {
+            scale.update(rec)?;
+        }
+        parameters.record_pack(rec)
+    }
+
+    fn record_adam(&self, rec: &mut Recorder) -> Result<()> {
+        let (gpu, parameters) = (&self.gpu, &self.parameters);
         let kernel = gpu.kernel::<shaders::adam::Shader>(&Default::default())?;
         let count = (parameters.padded_len() / 4) as u32;
         let adam = self.adam;
@@ -102,9 +134,10 @@ impl Step {
             parameter: parameters.flat.all(),
             first_moment: self.mean.all(),
             second_moment: self.mean_square.all(),
+            skip: self.skip.all(),
         };
         rec.dispatch(&kernel, &bind, &push, groups(u64::from(count)));
-        parameters.record_pack(rec)
+        Ok(())
     }
 
     /// The forward pass, whose values are all kept.
@@ -157,13 +190,22 @@ impl Step {
     /// What Adam keeps.
     pub fn moments(&self) -> Result<Moments> {
         let read = |b: &Buffer| -> Result<Vec<f32>> { Ok(self.parameters.unpad(&self.gpu.download::<f32>(&b.all())?)) };
-        Ok(Moments { step: self.steps_done, mean: read(&self.mean)?, mean_square: read(&self.mean_square)? })
+        let loss_scale = self.loss_scale.as_ref().map(LossScale::get).transpose()?;
+        Ok(Moments {
+            step: self.steps_done,
+            mean: read(&self.mean)?,
+            mean_square: read(&self.mean_square)?,
+            loss_scale,
+        })
     }
 
     /// Continues from saved moments; the parameters are set apart.
     pub fn set_moments(&mut self, moments: &Moments) -> Result<()> {
         self.gpu.upload(&self.mean.all(), &self.parameters.pad(&moments.mean))?;
         self.gpu.upload(&self.mean_square.all(), &self.parameters.pad(&moments.mean_square))?;
+        if let Some(scale) = &self.loss_scale {
+            scale.set(moments.loss_scale.unwrap_or_default())?;
+        }
         self.steps_done = moments.step;
         Ok(())
     }

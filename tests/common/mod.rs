@@ -4,6 +4,7 @@
 pub mod compare;
 pub mod goldens;
 pub mod networks;
+pub mod precision;
 
 use limpid::gpu::{DeviceOptions, Gpu};
 use limpid::net::device::DeviceTensor;

@@ -1,6 +1,6 @@
 //! 3x3 convolution: `conv2d.comp`, `conv2d_cpu.comp`, `conv2d_narrow.comp`, and the packing of its weights, `pack_weights.comp`.
 
-use super::Family;
+use super::{Family, coop};
 use crate::Result;
 use crate::gpu::{Gpu, Recorder, Slice};
 use crate::net::device::{Channels, DeviceTensor, groups};
@@ -64,7 +64,10 @@ impl Layer {
     /// Bytes of the packed weights.
     #[must_use]
     pub fn packed_bytes(self, family: Family, transposed: bool) -> u64 {
-        self.packed_texels(family, transposed) * 16
+        match family {
+            Family::Portable | Family::Cpu { .. } => self.packed_texels(family, transposed) * 16,
+            Family::Coop(_) => coop::packed_bytes(self, transposed),
+        }
     }
 
     fn packed_texels(self, family: Family, transposed: bool) -> u64 {
@@ -85,6 +88,9 @@ pub fn pack(
     packed: &Slice,
     transposed: bool,
 ) -> Result<()> {
+    if let Family::Coop(matrices) = family {
+        return coop::pack(gpu, rec, matrices, layer, weight, packed, transposed);
+    }
     let (read, _) = layer.direction(transposed);
     let (segment, segment_padded) = layer.input.segment();
     let count = layer.packed_texels(family, transposed);
@@ -124,6 +130,7 @@ pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, pass: &Pass<'_>) ->
         Family::Portable => record_portable(gpu, rec, pass),
         Family::Cpu { lanes } if pass.y.shape.c.texels() == 1 => record_narrow(gpu, rec, lanes, pass),
         Family::Cpu { lanes } => record_cpu(gpu, rec, lanes, pass),
+        Family::Coop(matrices) => coop::record(gpu, rec, matrices, pass),
     }
 }
 

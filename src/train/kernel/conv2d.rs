@@ -3,6 +3,7 @@
 //! Sums over pixels are split; the parts are added in a fixed order, so that equal runs give equal bits and no invocation
 //! loops longer than CPU drivers allow.
 
+use super::coop;
 use crate::Result;
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
 use crate::net::device::{Channels, DeviceTensor, Shape, groups};
@@ -72,12 +73,17 @@ fn split(family: Family, layer: Layer, x: &Shape) -> Split {
             let strips = x.w.div_ceil(STRIP) * x.n;
             (u64::from(strips) * u64::from(x.h + 1), strips)
         }
+        Family::Coop(_) => {
+            let tiles = coop::tiles(x);
+            (u64::from(tiles) * coop::TILE_ITERATIONS, tiles)
+        }
     };
-    let parallel = match family {
-        Family::Portable => cin4,
-        Family::Cpu { .. } => cin4.div_ceil(2),
-    } * u64::from(co_blocks);
-    let splits = iterations.div_ceil(MAX_ITERATIONS).max(MIN_PARALLEL.div_ceil(parallel));
+    let (parallel, least) = match family {
+        Family::Portable => (cin4 * u64::from(co_blocks), MIN_PARALLEL),
+        Family::Cpu { .. } => (cin4.div_ceil(2) * u64::from(co_blocks), MIN_PARALLEL),
+        Family::Coop(matrices) => (coop::workgroups(matrices, layer), coop::MIN_WORKGROUPS),
+    };
+    let splits = iterations.div_ceil(MAX_ITERATIONS).max(least.div_ceil(parallel));
     Split { splits: splits.min(u64::from(most)) as u32, co_blocks }
 }
 
@@ -102,7 +108,7 @@ impl Scratch {
         let bias = |l: Layer, x: &Shape| u64::from(bias_parts(x.n * x.h, x.w)) * u64::from(l.cout.div_ceil(4)) * 16;
         let partial = most(&|l, x| partial_bytes(family, l, x).max(bias(l, x)));
         let transposed = match family {
-            Family::Portable => None,
+            Family::Portable | Family::Coop(_) => None,
             Family::Cpu { .. } => Some(gpu.buffer("transposed gradient", most(&transposed_bytes))?),
         };
         Ok(Self { family, partial: gpu.buffer("partial sums", partial)?, transposed })
@@ -145,6 +151,7 @@ pub fn weight_grad(
             let push = CpuPush { batch: s.n, height: s.h, width: s.w, cin4, cout, co_blocks, splits };
             rec.dispatch(&kernel, &bind, &push, [(cin4.div_ceil(2) * splits).div_ceil(LOCAL / lanes), co_blocks, 1]);
         }
+        Family::Coop(matrices) => coop::weight_grad(gpu, rec, matrices, (x, dy), &partial, splits)?,
     }
     let (segment, segment_padded) = layer.input.segment();
     let push = ReducePush {
