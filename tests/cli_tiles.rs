@@ -9,7 +9,7 @@ const WEIGHTS: [&str; 2] = ["--weights", "w.safetensors"];
 /// A noisy picture and its reconstruction as a whole.
 fn rendered(cli: &Cli) {
     cli.weights();
-    cli.render(&["spheres:5", "--size", "403x61", "--spp", "1", "-o", "noisy.exr"]);
+    cli.render(&["spheres:5", "--size", "531x61", "--spp", "1", "-o", "noisy.exr"]);
     cli.ok(&[&["denoise", "noisy.exr", "-o", "whole.exr"], &WEIGHTS[..]].concat());
 }
 
@@ -29,7 +29,7 @@ fn tiles_write_the_same_files() {
     };
     let whole = denoise("a.exr", &[]);
     same(&cli, "a", "whole");
-    assert_eq!((&whole["tiling"]["tiles"], &whole["tiling"]["core"][0]), (&1.into(), &403.into()));
+    assert_eq!((&whole["tiling"]["tiles"], &whole["tiling"]["core"][0]), (&1.into(), &531.into()));
     assert_eq!((&whole["settings"]["tile"], &whole["settings"]["max_memory_mib"]), (&().into(), &().into()));
     // Everything that the device held.
     assert_eq!(whole["tiling"]["device_bytes"], whole["peak_device_bytes"]);
@@ -54,7 +54,7 @@ fn tiles_write_the_same_files() {
 fn a_render_is_reconstructed_in_tiles_too() {
     let cli = Cli::new();
     rendered(&cli);
-    let args = ["spheres:5", "--size", "403x61", "--spp", "1", "--denoise", "--tile", "32", "-o", "a.exr"];
+    let args = ["spheres:5", "--size", "531x61", "--spp", "1", "--denoise", "--tile", "32", "-o", "a.exr"];
     let report = cli.report(&[&args[..], &WEIGHTS].concat());
     same(&cli, "a", "whole");
     assert!(report["tiling"]["tiles"].as_u64().unwrap() > 1, "{}", report["tiling"]);
@@ -67,14 +67,14 @@ fn demands_that_cannot_be_met() {
     let fails = |flags: &[&str], parts: &[&str]| {
         let common = ["denoise", "noisy.exr", "-o", "a.exr"];
         cli.fails(&[&common[..], &WEIGHTS, flags].concat(), 2, parts);
-        let common = ["render", "--size", "403x61", "--spp", "1", "--denoise", "-o", "a.exr"];
+        let common = ["render", "--size", "531x61", "--spp", "1", "--denoise", "-o", "a.exr"];
         cli.fails(&[&common[..], &WEIGHTS, flags].concat(), 2, parts);
     };
     fails(&["--tile", "100"], &["--tile 100", "multiple of 32", "96 or 128"]);
     fails(&["--tile", "0"], &["--tile", "1.."]);
     fails(&["--tile", "4294967296"], &["--tile"]);
     fails(&["--max-memory", "0"], &["--max-memory", "1.."]);
-    fails(&["--max-memory", "1"], &["403x61", "1 MiB", "needs --max-memory"]);
+    fails(&["--max-memory", "1"], &["531x61", "1 MiB", "needs --max-memory"]);
     fails(&["--tile", "32", "--max-memory", "2"], &["--tile 32", "--max-memory 2", "would do"]);
     cli.fails(&["render", "--tile", "32"], 2, &["--denoise"]);
     cli.fails(&["render", "--max-memory", "32"], 2, &["--denoise"]);
@@ -86,7 +86,7 @@ fn base_in_tiles_too() {
     let cli = Cli::new();
     let base = limpid::net::architecture::Architecture::named("base").expect("an architecture");
     cli.weights_of(&base, "base.safetensors");
-    let scene = ["spheres:5", "--size", "403x61", "--spp", "1"];
+    let scene = ["spheres:5", "--size", "531x61", "--spp", "1"];
     cli.render(&[&scene[..], &["-o", "noisy.exr"]].concat());
     let weights = ["--weights", "base.safetensors"];
     cli.ok(&[&["denoise", "noisy.exr", "-o", "whole.exr", "--validation"], &weights[..]].concat());

@@ -2,7 +2,8 @@
 // Weight gradient of a 3x3 convolution, for CPU drivers: dw[co][ci][t] = sum over pixels of dy[co] * x[ci] at tap t.
 // Lanes are output channels; a subgroup holds 8 input channels x 9 taps and walks down strips of 12 pixels. x comes 16
 // pixels a row across the lanes and is broadcast by constant shuffles; dy comes transposed, 4 pixels a texel.
-// Each split sums its own strips; the partial sums are added in a fixed order afterwards.
+// Each split sums its own strips; the partial sums are added in a fixed order afterwards. All channels of a strip come one after
+// another, so that its pixels are read from the cache.
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_shuffle : require
 
@@ -32,12 +33,12 @@ void main() {
     const uint lane = gl_LocalInvocationID.x % L;
     const uint index = gl_WorkGroupID.x * (LOCAL / L) + gl_LocalInvocationID.x / L;
     const uint pairs = (cin4 + 1) / 2;
-    const uint total = pairs * splits;
+    const uint total = pairs * co_blocks * splits;
     const uint clamped = min(index, total - 1);
     const uint c4 = clamped % pairs * 2;  // and the next, where there is one
-    const uint split = clamped / pairs;
+    const uint split = clamped / (pairs * co_blocks);
     const bool both = c4 + 1 < cin4;
-    const uint co_block = gl_WorkGroupID.y;
+    const uint co_block = clamped / pairs % co_blocks;
     const uint co = co_block * L + lane;
     const bool co_alive = co < cout;
     const uint w4 = (width + 3) / 4;

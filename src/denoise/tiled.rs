@@ -37,6 +37,7 @@ fn window_pixels(tiling: &Tiling) -> u64 {
 fn add(sum: &mut Timings, part: &Timings) {
     sum.device_ms += part.device_ms;
     sum.wall_ms += part.wall_ms;
+    sum.submitted = sum.submitted.or(part.submitted);
 }
 
 impl TiledDenoiser {

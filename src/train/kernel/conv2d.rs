@@ -45,6 +45,8 @@ push_block! {
 const MAX_ITERATIONS: u64 = 30_000;
 /// Subgroups or workgroups that a dispatch should at least have, so that all processors work.
 const MIN_PARALLEL: u64 = 64;
+/// Bytes that the sums of a weight gradient's splits should take at most.
+const PARTIAL_BYTES: u64 = 64 << 20;
 /// Pixels of a strip of `conv2d_weight_grad_cpu.comp`.
 const STRIP: u32 = 12;
 const LOCAL: u32 = 64;
@@ -83,13 +85,23 @@ fn split(family: Family, layer: Layer, x: &Shape) -> Split {
         Family::Cpu { .. } => (cin4.div_ceil(2) * u64::from(co_blocks), MIN_PARALLEL),
         Family::Coop(matrices) => (coop::workgroups(matrices, layer), coop::MIN_WORKGROUPS),
     };
-    let splits = iterations.div_ceil(MAX_ITERATIONS).max(least.div_ceil(parallel));
+    let wanted = match family {
+        // A strip each, as far as memory goes: what all channels read of a strip then stays in the cache.
+        Family::Cpu { .. } => PARTIAL_BYTES / split_bytes(family, layer, co_blocks),
+        Family::Portable | Family::Coop(_) => least.div_ceil(parallel),
+    };
+    let splits = iterations.div_ceil(MAX_ITERATIONS).max(wanted).max(least.div_ceil(parallel));
     Split { splits: splits.min(u64::from(most)) as u32, co_blocks }
 }
 
+/// Bytes of one split's sums.
+fn split_bytes(family: Family, layer: Layer, co_blocks: u32) -> u64 {
+    u64::from(co_blocks) * u64::from(layer.input.texels()) * 9 * u64::from(family.lanes()) * 16
+}
+
 fn partial_bytes(family: Family, layer: Layer, x: &Shape) -> u64 {
-    let s = split(family, layer, x);
-    u64::from(s.splits) * u64::from(s.co_blocks) * u64::from(layer.input.texels()) * 9 * u64::from(family.lanes()) * 16
+    let Split { splits, co_blocks } = split(family, layer, x);
+    u64::from(splits) * split_bytes(family, layer, co_blocks)
 }
 
 fn transposed_bytes(layer: Layer, x: &Shape) -> u64 {
@@ -149,7 +161,8 @@ pub fn weight_grad(
             let kernel = gpu.kernel_with_subgroup::<shaders::conv2d_weight_grad_cpu::Shader>(&spec, lanes)?;
             let bind = shaders::conv2d_weight_grad_cpu::Bind { x: x.slice.clone(), dyt, partial: partial.clone() };
             let push = CpuPush { batch: s.n, height: s.h, width: s.w, cin4, cout, co_blocks, splits };
-            rec.dispatch(&kernel, &bind, &push, [(cin4.div_ceil(2) * splits).div_ceil(LOCAL / lanes), co_blocks, 1]);
+            let subgroups = cin4.div_ceil(2) * co_blocks * splits;
+            rec.dispatch(&kernel, &bind, &push, [subgroups.div_ceil(LOCAL / lanes), 1, 1]);
         }
         Family::Coop(matrices) => coop::weight_grad(gpu, rec, matrices, (x, dy), &partial, splits)?,
     }
