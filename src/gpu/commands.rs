@@ -3,7 +3,7 @@
 use super::buffer::Slice;
 use super::device::{Gpu, lock, vk_error};
 use super::hazard::{AccessRange, Event};
-use super::kernel::{Kernel, Pipeline, descriptor_type};
+use super::kernel::{Kernel, Pipeline, Slot, descriptor_type};
 use super::{Access, Binding, BindingKind, Bindings, PushBlock, Shader};
 use crate::{Error, Result};
 use ash::vk;
@@ -12,7 +12,7 @@ use std::time::Instant;
 
 struct Dispatch {
     name: &'static str,
-    pipeline: Arc<Pipeline>,
+    pipeline: Arc<Slot>,
     bindings: &'static [Binding],
     slices: Vec<Slice>,
     push: Vec<u8>,
@@ -321,13 +321,14 @@ impl Commands {
                     device.cmd_copy_buffer(self.buffer, src.buffer.0.raw, dst.buffer.0.raw, &[region]);
                 }
                 Operation::Dispatch(d) => {
-                    let set = self.descriptor_set(d)?;
+                    let pipeline = d.pipeline.get()?;
+                    let set = self.descriptor_set(d, &pipeline)?;
                     let bind = vk::PipelineBindPoint::COMPUTE;
-                    device.cmd_bind_pipeline(self.buffer, bind, d.pipeline.raw);
-                    device.cmd_bind_descriptor_sets(self.buffer, bind, d.pipeline.layout, 0, &[set], &[]);
+                    device.cmd_bind_pipeline(self.buffer, bind, pipeline.raw);
+                    device.cmd_bind_descriptor_sets(self.buffer, bind, pipeline.layout, 0, &[set], &[]);
                     if !d.push.is_empty() {
                         let stage = vk::ShaderStageFlags::COMPUTE;
-                        device.cmd_push_constants(self.buffer, d.pipeline.layout, stage, 0, &d.push);
+                        device.cmd_push_constants(self.buffer, pipeline.layout, stage, 0, &d.push);
                     }
                     device.cmd_dispatch(self.buffer, d.groups[0], d.groups[1], d.groups[2]);
                 }
@@ -336,9 +337,9 @@ impl Commands {
         Ok(())
     }
 
-    unsafe fn descriptor_set(&self, d: &Dispatch) -> Result<vk::DescriptorSet> {
+    unsafe fn descriptor_set(&self, d: &Dispatch, pipeline: &Pipeline) -> Result<vk::DescriptorSet> {
         let device = &self.gpu.0.raw;
-        let layouts = [d.pipeline.set_layout];
+        let layouts = [pipeline.set_layout];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.descriptors).set_layouts(&layouts);
         // SAFETY: the pool has room for one set a dispatch.
         let set = unsafe { device.allocate_descriptor_sets(&info) }.map_err(vk_error)?[0];

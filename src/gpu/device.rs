@@ -104,10 +104,10 @@ pub(super) struct Shared {
     pub(super) disk: super::disk::Disk,
     allocator: ManuallyDrop<Mutex<Allocator>>,
     /// Pipelines by shader name and specialization words, so that equal kernels are made once.
-    pub(super) kernels: Mutex<HashMap<super::kernel::KernelKey, Arc<super::kernel::Pipeline>>>,
+    pub(super) kernels: Mutex<HashMap<super::kernel::KernelKey, Arc<super::kernel::Slot>>>,
     pub(super) bytes: AtomicU64,
     pub(super) peak_bytes: AtomicU64,
-    pub(super) pipeline_ns: AtomicU64,
+    pub(super) pipeline_ns: Arc<AtomicU64>,
     pub(super) staging: Mutex<Option<super::buffer::Staging>>,
     // Dropped last: the instance outlives the device.
     instance: Instance,
@@ -309,7 +309,7 @@ impl Gpu {
             kernels: Mutex::default(),
             bytes: AtomicU64::new(0),
             peak_bytes: AtomicU64::new(0),
-            pipeline_ns: AtomicU64::new(0),
+            pipeline_ns: Arc::default(),
             staging: Mutex::new(None),
             instance,
         })))
@@ -346,14 +346,22 @@ impl Gpu {
         self.0.allocator().capacity()
     }
 
-    /// Time spent creating pipelines so far, milliseconds.
+    /// Time spent creating the pipelines asked for so far, milliseconds, summed over threads; waits for them.
     #[must_use]
     pub fn pipeline_ms(&self) -> f64 {
+        for slot in lock(&self.0.kernels).values() {
+            // A failure shows where the pipeline is used.
+            let _ = slot.get();
+        }
         self.0.pipeline_ns.load(Ordering::Relaxed) as f64 * 1e-6
     }
 }
 
 impl Shared {
+    pub(super) fn validates(&self) -> bool {
+        self.instance.validates()
+    }
+
     pub(super) fn allocator(&self) -> MutexGuard<'_, Allocator> {
         lock(&self.allocator)
     }
@@ -368,8 +376,10 @@ impl Drop for Shared {
             if let Some(staging) = lock(&self.staging).take() {
                 staging.destroy(self);
             }
-            for (_, pipeline) in lock(&self.kernels).drain() {
-                pipeline.destroy(&self.raw);
+            for (_, slot) in lock(&self.kernels).drain() {
+                if let Ok(pipeline) = slot.get() {
+                    pipeline.destroy(&self.raw);
+                }
             }
             self.disk.close(&self.raw);
             ManuallyDrop::drop(&mut self.allocator);

@@ -91,6 +91,10 @@ impl Instance {
         Ok(this)
     }
 
+    pub(super) fn validates(&self) -> bool {
+        self.messenger.is_some()
+    }
+
     fn listen(&mut self) -> Result<()> {
         let loader = ext::debug_utils::Instance::new(&self.entry, &self.raw);
         let user = std::ptr::from_ref::<Messages>(&self.messages).cast_mut().cast::<c_void>();
