@@ -1,5 +1,5 @@
-//! The Winograd convolution against the convolution's reference, on the case table: operands whole, in two parts, and with
-//! the first part upsampled.
+//! The Winograd convolution against the convolution's reference, on the case table: operands whole, joined, with an upsampled
+//! part, and the input gradient.
 
 mod common;
 
@@ -7,7 +7,7 @@ use common::compare::tensors_within;
 use common::{gpu, padding_is_zero};
 use limpid::gpu::{Gpu, hazard};
 use limpid::net::device::{Channels, DeviceTensor, Shape};
-use limpid::net::kernel::winograd::{self, Operand, Pass};
+use limpid::net::kernel::winograd::{self, Pass};
 use limpid::net::kernel::{Family, conv2d::Layer};
 use limpid::net::layer::{Case, Kind, cases, concat, conv2d, upsample2d, winograd::bound};
 use limpid::net::tensor::{Tensor, seed_of};
@@ -19,45 +19,83 @@ fn upload(gpu: &Gpu, tensor: &Tensor<f32>, channels: Channels) -> DeviceTensor {
     device
 }
 
-/// Convolves `parts` (the first upsampled where told) on the device and compares with the reference.
-fn check(gpu: &Gpu, family: Family, case: &Case, parts: &[Tensor<f32>], upsampled: bool) -> Result<(), String> {
+/// What is convolved, and how it lies on the device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Operand {
+    /// One tensor.
+    Whole,
+    /// One tensor of two segments, as a concatenation leaves it.
+    Joined,
+    /// Half of the channels from a tensor of half the size, upsampled.
+    Upsampled,
+    /// The gradient of the output, with transposed weights: the input gradient, of two segments.
+    Gradient,
+}
+
+const OPERANDS: [Operand; 4] = [Operand::Whole, Operand::Joined, Operand::Upsampled, Operand::Gradient];
+
+/// OIHW weights of the convolution that is the input gradient: transposed, the taps turned.
+fn transposed(weight: &Tensor<f64>) -> Tensor<f64> {
+    let [cout, cin, ..] = weight.shape;
+    let data = (0..cin * cout * 9).map(|i| weight.at(i / 9 % cout, i / 9 / cout, 2 - i / 3 % 3, 2 - i % 3)).collect();
+    Tensor::new([cin, cout, 3, 3], data)
+}
+
+/// Convolves on the device and compares with the reference; none where the case has no such operand.
+fn check(gpu: &Gpu, family: Family, case: &Case, operand: Operand) -> Option<Result<(), String>> {
     let data = case.data();
-    let f64s = |t: &Tensor<f32>| t.to_f64();
-    let first = if upsampled { upsample2d::reference(&f64s(&parts[0])) } else { f64s(&parts[0]) };
-    let (x, input) = match parts {
-        [_] => (first, Channels::new(case.cin as u32)),
-        [a, b] => {
-            (concat::reference(&first, &f64s(b)), Channels { first: a.shape[1] as u32, second: b.shape[1] as u32 })
+    let (whole, half) = (&data.inputs[0], case.cin / 2);
+    let [n, _, h, w] = whole.shape;
+    let even = h.is_multiple_of(2) && w.is_multiple_of(2);
+    if (operand != Operand::Whole && half == 0) || (operand == Operand::Upsampled && !even) {
+        return None;
+    }
+    let one = |c: usize| Channels::new(c as u32);
+    let two = Channels { first: half as u32, second: (case.cin - half) as u32 };
+    let input = if operand == Operand::Whole { one(case.cin) } else { two };
+    let layer = Layer { input, cout: case.cout as u32 };
+    let low = Tensor::uniform([n, half, h / 2, w / 2], seed_of(&case.name));
+    let rest = channels(whole, half, case.cin);
+    let mut weight = data.weight.to_f64();
+    let mut bias = data.bias.clone();
+    let (low, x, from, to) = match operand {
+        Operand::Whole | Operand::Joined => {
+            (None, whole.to_f64(), upload(gpu, whole, input), Channels::new(case.cout as u32))
         }
-        _ => unreachable!("one part or two"),
+        Operand::Upsampled => {
+            let x = concat::reference(&upsample2d::reference(&low.to_f64()), &rest.to_f64());
+            (Some(upload(gpu, &low, one(half))), x, upload(gpu, &rest, one(case.cin - half)), one(case.cout))
+        }
+        Operand::Gradient => {
+            weight = transposed(&weight);
+            bias = vec![0.0; case.cin];
+            let dy = &data.output_gradient;
+            (None, dy.to_f64(), upload(gpu, dy, one(case.cout)), two)
+        }
     };
-    let (weight, bias) = (data.weight.to_f64(), data.bias.iter().map(|b| f64::from(*b)).collect::<Vec<_>>());
-    let expected = conv2d::reference(&x, &weight, &bias);
+    let bias_f64: Vec<f64> = bias.iter().map(|b| f64::from(*b)).collect();
+    let expected = conv2d::reference(&x, &weight, &bias_f64);
 
     let floats = |name: &str, values: &[f32]| {
         let buffer = gpu.buffer(name, values.len() as u64 * 4 + 256).unwrap();
         gpu.upload(&buffer.all(), values).unwrap();
         buffer.all()
     };
-    let layer = Layer { input, cout: case.cout as u32 };
-    let tensors: Vec<_> = parts.iter().map(|p| upload(gpu, p, Channels::new(p.shape[1] as u32))).collect();
-    let operands: Vec<_> =
-        tensors.iter().enumerate().map(|(i, x)| Operand { x, upsampled: upsampled && i == 0 }).collect();
-    let (oihw, bias_device) = (floats("weight", &data.weight.data), floats("bias", &data.bias));
-    let transformed = gpu.buffer("transformed", winograd::weights_bytes(family, layer, false)).unwrap().all();
-    let [n, c, h, w] = case.output_shape().map(|v| v as u32);
-    let y = DeviceTensor::new(gpu, "y", Shape { n, h, w, c: Channels::new(c) }).unwrap();
+    let is_gradient = operand == Operand::Gradient;
+    let (oihw, bias_device) = (floats("weight", &data.weight.data), floats("bias", &bias));
+    let packed = gpu.buffer("transformed", winograd::weights_bytes(family, layer, is_gradient)).unwrap().all();
+    let y = DeviceTensor::new(gpu, "y", Shape { n: n as u32, h: h as u32, w: w as u32, c: to }).unwrap();
     gpu.upload(&y.slice, &vec![f32::NAN; y.shape.bytes() as usize / 4]).unwrap();
-    let pass = Pass { operands: &operands, weight: &transformed, bias: &bias_device, y: &y, slope: 1.0 };
+    let pass = Pass { low: low.as_ref(), x: &from, weight: &packed, bias: &bias_device, y: &y, slope: 1.0 };
     let mut rec = gpu.recorder();
-    winograd::transform_weights(gpu, &mut rec, family, layer, &oihw, &transformed, false).unwrap();
+    winograd::transform_weights(gpu, &mut rec, family, layer, &oihw, &packed, is_gradient).unwrap();
     winograd::record(gpu, &mut rec, family, &pass).unwrap();
     let mut commands = rec.finish().unwrap();
     hazard::check(commands.events()).unwrap();
     commands.run().unwrap();
-    let actual = Tensor::new(case.output_shape(), y.download(gpu).unwrap());
-    tensors_within(&actual, &expected, &bound(&x, &weight, &bias))?;
-    padding_is_zero(gpu, &y)
+    let actual = Tensor::new(expected.shape, y.download(gpu).unwrap());
+    let within = tensors_within(&actual, &expected, &bound(&x, &weight, &bias_f64));
+    Some(within.and_then(|()| padding_is_zero(gpu, &y)))
 }
 
 /// The channels of a tensor from `from` to `to`.
@@ -75,30 +113,20 @@ fn winograd_kernels_equal_the_reference() {
         println!("NOT RUN: the device has no family with Winograd kernels");
     }
     let mut failures = Vec::new();
-    let mut checked = [0; 3];
+    let mut checked = [0; OPERANDS.len()];
     for family in families {
         for case in cases().iter().filter(|c| c.kind == Kind::Conv2d) {
-            let whole = case.data().inputs[0].clone();
-            let half = case.cin / 2;
-            let [n, _, h, w] = whole.shape;
-            let mut inputs = vec![(vec![whole.clone()], false)];
-            if half > 0 {
-                inputs.push((vec![channels(&whole, 0, half), channels(&whole, half, case.cin)], false));
-                if h.is_multiple_of(2) && w.is_multiple_of(2) {
-                    let low = Tensor::uniform([n, half, h / 2, w / 2], seed_of(&case.name));
-                    inputs.push((vec![low, channels(&whole, half, case.cin)], true));
-                }
-            }
-            for (parts, upsampled) in inputs {
-                checked[if upsampled { 2 } else { parts.len() - 1 }] += 1;
-                if let Err(e) = check(&gpu, family, case, &parts, upsampled) {
-                    failures.push(format!("{} in {} parts, upsampled: {upsampled}: {e}", case.name, parts.len()));
+            for (count, operand) in checked.iter_mut().zip(OPERANDS) {
+                let Some(result) = check(&gpu, family, case, operand) else { continue };
+                *count += 1;
+                if let Err(e) = result {
+                    failures.push(format!("{}, {operand:?}: {e}", case.name));
                 }
             }
         }
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
     if gpu.info().is_cpu && gpu.info().subgroup_size >= 8 {
-        assert!(checked.iter().all(|c| *c >= 3), "{checked:?} rows whole, in parts, upsampled");
+        assert!(checked.iter().all(|c| *c >= 3), "{checked:?} rows of {OPERANDS:?}");
     }
 }

@@ -10,22 +10,21 @@
 
 layout(constant_id = 0) const uint L = 8;                // subgroup size, 8 or 16
 layout(constant_id = 1) const uint GROUP = 4;            // blocks of L output channels that a subgroup makes, at most 4
-layout(constant_id = 2) const bool UPSAMPLED = false;    // the first operand is read 2x upsampled (nearest)
-layout(constant_id = 3) const bool TWO = false;          // there is a second operand, as in a concatenation
 const uint LOCAL = 64;
 layout(local_size_x = 64) in;
 
-layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer first;   // [n][h][first4][w]; UPSAMPLED: of half the size
-layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer second;  // [n][h][second4][w]
-layout(set = 0, binding = 2, rgba32f) readonly uniform imageBuffer weight;  // [36][blocks][first4 + second4][L]
+// The operand's channels are those of `low`, 2x upsampled (nearest), then those of `x`, as in a concatenation.
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer low;     // [n][h/2][low4][w/2]
+layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer x;       // [n][h][x4][w]
+layout(set = 0, binding = 2, rgba32f) readonly uniform imageBuffer weight;  // [36][blocks][low4 + x4][L]
 layout(set = 0, binding = 3, r32f) readonly uniform imageBuffer bias;       // [cout]
 layout(set = 0, binding = 4, std430) writeonly buffer Y { vec4 y[]; };      // rows of [n][h][cout4][w], a window
 
 layout(push_constant) uniform Push {
     int height;  // of the result
     int width;
-    int first4;
-    int second4;
+    int low4;  // 0: there is no `low`
+    int x4;
     uint blocks;  // of L output channels
     uint cout4;
     uint tiles_x;
@@ -51,7 +50,7 @@ void multiply(vec4 v[6], int row, int c, bool upsampled) {
         vec4 w[4];
         [[unroll]] for (int b = 0; b < int(GROUP); ++b) {
             const int block = min(int(gl_WorkGroupID.y * GROUP) + b, int(blocks) - 1);
-            const int at = ((row * 6 + p) * int(blocks) + block) * (first4 + second4) + c;
+            const int at = ((row * 6 + p) * int(blocks) + block) * (low4 + x4) + c;
             w[b] = imageLoad(weight, at * int(L) + int(gl_SubgroupInvocationID));
         }
         [[unroll]] for (int i = 0; i < int(L); ++i) {
@@ -64,33 +63,29 @@ void multiply(vec4 v[6], int row, int c, bool upsampled) {
     }
 }
 
-// Adds what a row of positions gets from the first or the second operand.
-void add_operand(bool is_second, int row) {
+// Adds what a row of positions gets from `x`.
+void add_plain(int row) {
     const bool outer = row == 0 || row == 5;
     const int row_of[4] = {row == 0 ? 0 : 1, row == 5 ? 3 : 2, row == 0 ? 4 : row == 5 ? 5 : 3, 4};
     const float f0 = outer || row == 2 ? 4.0 : row == 1 ? -4.0 : row == 3 ? -2.0 : 2.0;
     const float f1 = outer ? -5.0 : row < 3 ? -4.0 : -1.0;
     const float f2 = outer || row == 1 ? 1.0 : row == 2 ? -1.0 : row == 3 ? 2.0 : -2.0;
     const float f3 = outer ? 0.0 : 1.0;
-    const int channels4 = is_second ? second4 : first4;
     int at[4][6];
     [[unroll]] for (int j = 0; j < 4; ++j) {
         const int py = 4 * ty - 1 + row_of[j];
         [[unroll]] for (int q = 0; q < 6; ++q) {
             const int px = 4 * tx - 1 + q;
             const bool inside = px >= 0 && py >= 0 && px < width && py < height;
-            at[j][q] = inside ? (image_row + py) * channels4 * width + px : -1;
+            at[j][q] = inside ? (image_row + py) * x4 * width + px : -1;
         }
     }
-    for (int c = 0; c < channels4; ++c) {
+    for (int c = 0; c < x4; ++c) {
         vec4 t[6];
         [[unroll]] for (int q = 0; q < 6; ++q) {
             vec4 d[4];
             [[unroll]] for (int j = 0; j < 4; ++j) {
-                const int texel = max(at[j][q], 0) + c * width;
-                vec4 loaded;
-                if (is_second) loaded = imageLoad(second, texel);
-                else loaded = imageLoad(first, texel);
+                const vec4 loaded = imageLoad(x, max(at[j][q], 0) + c * width);
                 d[j] = mix(vec4(0.0), loaded, bvec4(at[j][q] >= 0));
             }
             t[q] = (f0 * d[0] + f1 * d[1]) + (f2 * d[2] + f3 * d[3]);
@@ -102,11 +97,11 @@ void add_operand(bool is_second, int row) {
         v[3] = (t[4] - t[2]) + 2.0 * (t[3] - t[1]);
         v[4] = (t[4] - t[2]) - 2.0 * (t[3] - t[1]);
         v[5] = 4.0 * t[1] - 5.0 * t[3] + t[5];
-        multiply(v, row, c + (is_second ? first4 : 0), false);
+        multiply(v, row, low4 + c, false);
     }
 }
 
-// The same from the first operand's upsampling. Rows 1, 2 and 3, 4 of a patch are then equal, as are its columns: it is made
+// The same from the upsampled `low`. Rows 1, 2 and 3, 4 of a patch are then equal, as are its columns: it is made
 // of 4x4 texels, and V vanishes in row 2 and column 2 (interpolation point -1).
 void add_upsampled(int row) {
     const bool outer = row == 0 || row == 5;
@@ -119,16 +114,16 @@ void add_upsampled(int row) {
         [[unroll]] for (int q = 0; q < 4; ++q) {
             const int px = 2 * tx - 1 + q;
             const bool inside = px >= 0 && py >= 0 && px < width / 2 && py < height / 2;
-            at[j][q] = inside ? (image_row / 2 + py) * first4 * (width / 2) + px : -1;
+            at[j][q] = inside ? (image_row / 2 + py) * low4 * (width / 2) + px : -1;
         }
     }
-    const int count = row == 2 ? 0 : first4;
+    const int count = row == 2 ? 0 : low4;
     for (int c = 0; c < count; ++c) {
         vec4 t[4];
         [[unroll]] for (int q = 0; q < 4; ++q) {
             vec4 d[3];
             [[unroll]] for (int j = 0; j < 3; ++j) {
-                const vec4 loaded = imageLoad(first, max(at[j][q], 0) + c * (width / 2));
+                const vec4 loaded = imageLoad(low, max(at[j][q], 0) + c * (width / 2));
                 d[j] = mix(vec4(0.0), loaded, bvec4(at[j][q] >= 0));
             }
             t[q] = f0 * d[0] + f1 * d[1] + f2 * d[2];
@@ -188,9 +183,8 @@ void main() {
                 [[unroll]] for (int i = 0; i < int(L); ++i) acc[b][p][i] = 0.0;
             }
         }
-        if (UPSAMPLED) add_upsampled(row);
-        else add_operand(false, row);
-        if (TWO) add_operand(true, row);
+        add_upsampled(row);
+        add_plain(row);
         add_result(row);
     }
 

@@ -83,16 +83,17 @@ fn convolution(gpu: &Gpu, family: Family, row: &Row) -> Result<Tensor> {
 fn by_winograd(gpu: &Gpu, family: Family, row: &Row) -> Result<Tensor> {
     let (data, layer) = (&row.data, layer(row));
     let tensors = data.inputs.iter().map(|part| upload(gpu, part)).collect::<Result<Vec<_>>>()?;
-    let upsampled = |i: usize| i == 0 && row.part == Part::WinogradUpsampled;
-    let operand = |(i, x)| winograd::Operand { x, upsampled: upsampled(i) };
-    let operands: Vec<_> = tensors.iter().enumerate().map(operand).collect();
+    let (low, x) = match &tensors[..] {
+        [low, x] => (Some(low), x),
+        all => (None, &all[0]),
+    };
     let y = result(gpu, row.case.output_shape())?;
     let oihw = floats(gpu, &data.weight.data, 0)?;
     let bias = floats(gpu, &data.bias, row.case.cout.next_multiple_of(64))?;
     let weight = gpu.buffer("checked weights", winograd::weights_bytes(family, layer, false))?.all();
     run_now(gpu, |rec| {
         winograd::transform_weights(gpu, rec, family, layer, &oihw, &weight, false)?;
-        let pass = winograd::Pass { operands: &operands, weight: &weight, bias: &bias, y: &y, slope: 1.0 };
+        let pass = winograd::Pass { low, x, weight: &weight, bias: &bias, y: &y, slope: 1.0 };
         winograd::record(gpu, rec, family, &pass)
     })?;
     Ok(Tensor::new(row.case.output_shape(), y.download(gpu)?))

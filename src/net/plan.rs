@@ -26,7 +26,7 @@ pub enum Fusion {
     /// The convolutions that [`winograd::fits`] are its, for families with these kernels; the others as
     /// [`Fusion::Activation`].
     Winograd,
-    /// The same, and they read the operands of a concatenation and what is upsampled where they are: for inference.
+    /// The same, and they read the operands of a concatenation with what is upsampled where they are: for inference.
     InPlace,
 }
 
@@ -55,8 +55,8 @@ impl Fusion {
 enum Job {
     /// By its layer's own kernels, from its inputs.
     Layer,
-    /// By a convolution of these values, the first upsampled or not.
-    Winograd { operands: Vec<NodeId>, upsampled: bool },
+    /// By a convolution of `x`, with the upsampled `low` before it where there is such.
+    Winograd { low: Option<NodeId>, x: NodeId },
     /// Not at all: its users read its inputs.
     Nothing,
 }
@@ -120,16 +120,13 @@ fn jobs(architecture: &Architecture, family: Family, fusion: Fusion) -> Vec<Job>
             continue;
         }
         let input = node.inputs[0];
-        if fusion == Fusion::Winograd {
-            jobs[id] = Job::Winograd { operands: vec![input], upsampled: false };
-            continue;
-        }
-        let mut operands = if nodes[input].op == Op::Concat { nodes[input].inputs.clone() } else { vec![input] };
-        let upsampled = nodes[operands[0]].op == Op::Upsample;
-        if upsampled {
-            operands[0] = nodes[operands[0]].inputs[0];
-        }
-        jobs[id] = Job::Winograd { operands, upsampled };
+        let (low, x) = match (&nodes[input].op, &nodes[input].inputs[..]) {
+            (Op::Concat, &[first, second]) if fusion == Fusion::InPlace && nodes[first].op == Op::Upsample => {
+                (Some(nodes[first].inputs[0]), second)
+            }
+            _ => (None, input),
+        };
+        jobs[id] = Job::Winograd { low, x };
     }
     // From the end: what nobody reads any more is not computed.
     for id in (0..nodes.len() - 1).rev() {
@@ -146,7 +143,7 @@ fn jobs(architecture: &Architecture, family: Family, fusion: Fusion) -> Vec<Job>
 fn reads(architecture: &Architecture, jobs: &[Job]) -> Vec<Vec<NodeId>> {
     let of = |(job, node): (&Job, &super::architecture::Node)| match job {
         Job::Layer => node.inputs.clone(),
-        Job::Winograd { operands, .. } => operands.clone(),
+        Job::Winograd { low, x } => low.iter().chain([x]).copied().collect(),
         Job::Nothing => Vec::new(),
     };
     jobs.iter().zip(architecture.nodes()).map(of).collect()
@@ -291,7 +288,7 @@ impl Plan {
         match &self.jobs[id] {
             Job::Nothing => Ok(()),
             Job::Layer => self.record_layer(rec, parameters, id),
-            Job::Winograd { operands, upsampled } => self.record_winograd(rec, parameters, id, operands, *upsampled),
+            Job::Winograd { low, x } => self.record_winograd(rec, parameters, id, (*low, *x)),
         }
     }
 
@@ -312,16 +309,13 @@ impl Plan {
         rec: &mut Recorder,
         parameters: &Parameters,
         id: NodeId,
-        operands: &[NodeId],
-        upsampled: bool,
+        (low, x): (Option<NodeId>, NodeId),
     ) -> Result<()> {
         let conv = parameters.convs[id].as_ref().expect("a convolution has parameters");
         let Op::Conv { slope, .. } = parameters.architecture().nodes()[id].op else { unreachable!("a convolution") };
-        let operand =
-            |(i, id): (usize, &NodeId)| winograd::Operand { x: &self.values[*id], upsampled: i == 0 && upsampled };
-        let operands: Vec<_> = operands.iter().enumerate().map(operand).collect();
         let pass = winograd::Pass {
-            operands: &operands,
+            low: low.map(|low| &self.values[low]),
+            x: &self.values[x],
             weight: conv.winograd.as_ref().expect("made where the layer fits"),
             bias: &conv.bias,
             y: &self.values[id],

@@ -114,8 +114,7 @@ impl Backward {
         let bias = &self.zero_bias;
         self.into(rec, written, input, |rec, dx| match &conv.winograd_transposed {
             Some(weight) => {
-                let operands = [winograd::Operand { x: dy, upsampled: false }];
-                let pass = winograd::Pass { operands: &operands, weight, bias, y: dx, slope: 1.0 };
+                let pass = winograd::Pass { low: None, x: dy, weight, bias, y: dx, slope: 1.0 };
                 winograd::record(&self.gpu, rec, family, &pass)
             }
             None => conv2d::record(&self.gpu, rec, family, &conv2d::Pass { x: dy, weight, bias, y: dx, slope: 1.0 }),

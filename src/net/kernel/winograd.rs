@@ -4,8 +4,8 @@
 //! operand's overlapping 6x6 patches and the weights are transformed, 36 matrix products follow, and their results are
 //! transformed to tiles of 4x4 pixels.
 //!
-//! The operand may come in two parts, as a concatenation has them, the first one upsampled: neither the concatenation nor
-//! the upsampling is written to memory, and 11 of the 36 products vanish for what is upsampled.
+//! The operand may come in two parts, as a concatenation of an upsampled value and another: neither the concatenation nor the
+//! upsampling is written to memory, and 11 of the 36 products vanish for what is upsampled.
 
 use super::{Family, conv2d::Layer, conv2d::tile_windows};
 use crate::gpu::{Gpu, Recorder, Slice};
@@ -22,7 +22,7 @@ push_block! {
 push_block! {
     /// Push constants of `winograd.comp`.
     pub struct WinogradPush for shaders::winograd {
-        height: i32, width: i32, first4: i32, second4: i32, blocks: u32, cout4: u32, tiles_x: u32, tiles_y: u32,
+        height: i32, width: i32, low4: i32, x4: i32, blocks: u32, cout4: u32, tiles_x: u32, tiles_y: u32,
         tile_row_begin: u32, tile_count: u32, window_row: u32, slope: f32,
     }
 }
@@ -96,24 +96,18 @@ pub fn transform_weights(
     Ok(())
 }
 
-/// Blocks of output channels that a subgroup makes: as many as share a transformed operand with the fewest left over.
+/// Blocks of output channels that a subgroup makes: 4 where they share a transformed operand and at most one is left over.
+/// Every number is a pipeline of its own, which llvmpipe makes for a third of a second.
 fn group(blocks: u32) -> u32 {
-    (2..=4).rev().min_by_key(|group| blocks.next_multiple_of(*group)).expect("three to choose from").min(blocks)
-}
-
-/// A part of what a convolution reads.
-#[derive(Clone, Copy)]
-pub struct Operand<'a> {
-    /// The values.
-    pub x: &'a DeviceTensor,
-    /// Whether the convolution reads their nearest 2x upsampling; only the first operand may be.
-    pub upsampled: bool,
+    if blocks >= 3 && blocks.next_multiple_of(4) - blocks <= 1 { 4 } else { 2 }
 }
 
 /// Operands of one convolution.
 pub struct Pass<'a> {
-    /// What is read, channel after channel.
-    pub operands: &'a [Operand<'a>],
+    /// Of half the size: its nearest 2x upsampling gives the first channels of what is read, where there is such.
+    pub low: Option<&'a DeviceTensor>,
+    /// The other channels.
+    pub x: &'a DeviceTensor,
     /// Transformed weights.
     pub weight: &'a Slice,
     /// At least as many floats as the result has places, rounded up to 16.
@@ -124,23 +118,12 @@ pub struct Pass<'a> {
     pub slope: f32,
 }
 
-/// Records `y = leaky_relu(conv(operands) + bias)`.
-///
-/// # Panics
-/// Where the operands are not one or two, or another than the first is upsampled.
+/// Records `y = leaky_relu(conv([upsample2d(low), x]) + bias)`.
 pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, pass: &Pass<'_>) -> Result<()> {
     let lanes = family.lanes();
-    let channels: Vec<u32> = pass.operands.iter().map(|o| o.x.shape.c.texels()).collect();
-    assert!(pass.operands.iter().skip(1).all(|o| !o.upsampled), "only the first operand may be upsampled");
-    let (first, second) = match pass.operands {
-        [first] => (first, first),
-        [first, second] => (first, second),
-        _ => panic!("{} operands", pass.operands.len()),
-    };
     let blocks = blocks(family, pass.y.shape.c);
     let group = group(blocks);
-    let two = channels.len() == 2;
-    let spec = shaders::winograd::Spec { l: lanes, group, upsampled: first.upsampled, two };
+    let spec = shaders::winograd::Spec { l: lanes, group };
     let kernel = gpu.kernel_with_subgroup::<shaders::winograd::Shader>(&spec, lanes)?;
     let shape = pass.y.shape;
     let (tiles_x, tiles_y) = (shape.w.div_ceil(TILE), shape.h.div_ceil(TILE));
@@ -149,8 +132,8 @@ pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, pass: &Pass<'_>) ->
         let push = WinogradPush {
             height: shape.h as i32,
             width: shape.w as i32,
-            first4: channels[0] as i32,
-            second4: if two { channels[1] as i32 } else { 0 },
+            low4: pass.low.map_or(0, |low| low.shape.c.texels()) as i32,
+            x4: pass.x.shape.c.texels() as i32,
             blocks,
             cout4: shape.c.texels(),
             tiles_x,
@@ -161,8 +144,8 @@ pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, pass: &Pass<'_>) ->
             slope: pass.slope,
         };
         let bind = shaders::winograd::Bind {
-            first: first.x.slice.clone(),
-            second: second.x.slice.clone(),
+            low: pass.low.unwrap_or(pass.x).slice.clone(),
+            x: pass.x.slice.clone(),
             weight: pass.weight.clone(),
             bias: pass.bias.clone(),
             y,
