@@ -35,6 +35,7 @@ fn window_pixels(tiling: &Tiling) -> u64 {
 }
 
 fn add(sum: &mut Timings, part: &Timings) {
+    sum.submitted = sum.submitted.or(part.submitted);
     sum.device_ms += part.device_ms;
     sum.wall_ms += part.wall_ms;
     sum.submitted = sum.submitted.or(part.submitted);
