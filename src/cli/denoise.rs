@@ -51,10 +51,10 @@ pub fn run(args: &Args) -> Result<u8> {
     let start = Instant::now();
     let files = Files::new(&args.output)?;
     let mut network = Reconstruction::load(args.weights.as_deref(), args.tiles.demand())?;
-    let mut image = read(&args.input, network.inputs())?;
     files.writable(true)?;
     let gpu = args.device.open()?;
     network.choose_kernels(&gpu, &args.kernels)?;
+    let mut image = read(&args.input, network.inputs())?;
     network.choose(&gpu, (image.width, image.height), false)?;
     let mut progress = Progress::new(&format!("reconstruct {}x{}", image.width, image.height));
     let pixels = image.pixel_count() as f64;

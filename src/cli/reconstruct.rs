@@ -8,6 +8,7 @@ use limpid::gpu::{Gpu, Slice, Timings};
 use limpid::image::{Image, Rgb};
 use limpid::kernels;
 use limpid::kernels::check::Purpose;
+use limpid::net::plan::Plan;
 use limpid::net::weights::Weights;
 use limpid::{Error, Result};
 use serde_json::{Value, json};
@@ -63,10 +64,11 @@ impl Reconstruction {
         self.kernels.as_ref().filter(|_| self.choice.is_some())
     }
 
-    /// Chooses the kernels.
+    /// Chooses the kernels, and lets the driver begin to make them.
     pub fn choose_kernels(&mut self, gpu: &Gpu, kernels: &KernelArgs) -> Result<()> {
         self.kernels = Some(kernels.choose(gpu, Purpose::Inference)?);
-        Ok(())
+        let Kernels { family, fusion } = self.chosen(gpu);
+        Plan::request_kernels(gpu, &self.weights.architecture, family, fusion)
     }
 
     fn chosen(&self, gpu: &Gpu) -> Kernels {

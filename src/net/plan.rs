@@ -48,6 +48,11 @@ impl Fusion {
             _ => Self::Activation,
         }
     }
+
+    /// The slope that a convolution's own kernel applies, of a node with this one.
+    fn slope(self, slope: Option<f32>) -> f32 {
+        if self == Self::Layers { 1.0 } else { slope.unwrap_or(1.0) }
+    }
 }
 
 /// How a node is computed.
@@ -222,6 +227,25 @@ impl Plan {
         Footprint::arena(layout.arena(architecture).1, largest)
     }
 
+    /// Lets the kernels of a plan be made on threads of their own, those that take longest first, while the caller reads
+    /// files and allocates memory.
+    pub fn request_kernels(gpu: &Gpu, architecture: &Architecture, family: Family, fusion: Fusion) -> Result<()> {
+        let channels = node_channels(architecture);
+        let jobs = jobs(architecture, family, fusion);
+        let winograd = |id: &NodeId| matches!(jobs[*id], Job::Winograd { .. });
+        let mut written: Vec<Channels> = (0..jobs.len()).filter(winograd).map(|id| channels[id]).collect();
+        written.sort_by_key(|c| std::cmp::Reverse(c.texels()));
+        for c in written {
+            winograd::kernel(gpu, family, c)?;
+        }
+        for (id, node) in architecture.nodes().iter().enumerate().filter(|(id, _)| jobs[*id] == Job::Layer) {
+            if let Op::Conv { slope, .. } = node.op {
+                conv2d::request(gpu, family, channels[id], fusion.slope(slope))?;
+            }
+        }
+        Ok(())
+    }
+
     /// Tensors for `n` images of `h` x `w` pixels.
     pub fn new(
         gpu: &Gpu,
@@ -335,12 +359,11 @@ impl Plan {
             Op::Concat => concat::record(&self.gpu, rec, x(0), x(1), y),
             Op::Conv { slope, .. } => {
                 let conv = parameters.convs[id].as_ref().expect("a convolution has parameters");
-                let fused = if self.fusion == Fusion::Layers { None } else { slope };
-                let pass =
-                    conv2d::Pass { x: x(0), weight: &conv.packed, bias: &conv.bias, y, slope: fused.unwrap_or(1.0) };
+                let fused = self.fusion.slope(slope);
+                let pass = conv2d::Pass { x: x(0), weight: &conv.packed, bias: &conv.bias, y, slope: fused };
                 conv2d::record(&self.gpu, rec, parameters.family(), &pass)?;
                 match slope {
-                    Some(slope) if fused.is_none() => leaky_relu::record(&self.gpu, rec, y, y, slope),
+                    Some(slope) if self.fusion == Fusion::Layers => leaky_relu::record(&self.gpu, rec, y, y, slope),
                     _ => Ok(()),
                 }
             }

@@ -2,7 +2,7 @@
 
 use super::{Family, coop};
 use crate::Result;
-use crate::gpu::{Gpu, Recorder, Slice};
+use crate::gpu::{Gpu, Kernel, Recorder, Slice};
 use crate::net::device::{Channels, DeviceTensor, groups};
 use crate::push_block;
 use crate::shaders;
@@ -198,9 +198,30 @@ fn record_portable(gpu: &Gpu, rec: &mut Recorder, pass: &Pass<'_>) -> Result<()>
     Ok(())
 }
 
+/// Lets the kernel that [`record`] will use be made on a thread of its own, where making it takes long.
+pub fn request(gpu: &Gpu, family: Family, written: Channels, slope: f32) -> Result<()> {
+    match family {
+        Family::Cpu { lanes } if written.texels() == 1 => narrow_kernel(gpu, lanes, written, slope).map(drop),
+        Family::Cpu { lanes } => cpu_kernel(gpu, lanes, slope).map(drop),
+        Family::Portable | Family::Coop(_) => Ok(()),
+    }
+}
+
+fn cpu_kernel(gpu: &Gpu, lanes: u32, slope: f32) -> Result<Kernel<shaders::conv2d_cpu::Shader>> {
+    gpu.kernel_with_subgroup(&shaders::conv2d_cpu::Spec { l: lanes, slope }, lanes)
+}
+
+fn narrow_kernel(
+    gpu: &Gpu,
+    lanes: u32,
+    written: Channels,
+    slope: f32,
+) -> Result<Kernel<shaders::conv2d_narrow::Shader>> {
+    gpu.kernel_with_subgroup(&shaders::conv2d_narrow::Spec { l: lanes, cout: written.count(), slope }, lanes)
+}
+
 fn record_cpu(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Result<()> {
-    let spec = shaders::conv2d_cpu::Spec { l: lanes, slope: pass.slope };
-    let kernel = gpu.kernel_with_subgroup::<shaders::conv2d_cpu::Shader>(&spec, lanes)?;
+    let kernel = cpu_kernel(gpu, lanes, pass.slope)?;
     let shape = pass.y.shape;
     let cout4 = shape.c.texels();
     let (tiles_x, tiles_y) = (shape.w.div_ceil(TILE.0), shape.h.div_ceil(TILE.1));
@@ -230,8 +251,7 @@ fn record_cpu(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Res
 
 fn record_narrow(gpu: &Gpu, rec: &mut Recorder, lanes: u32, pass: &Pass<'_>) -> Result<()> {
     let shape = pass.y.shape;
-    let spec = shaders::conv2d_narrow::Spec { l: lanes, cout: shape.c.count(), slope: pass.slope };
-    let kernel = gpu.kernel_with_subgroup::<shaders::conv2d_narrow::Shader>(&spec, lanes)?;
+    let kernel = narrow_kernel(gpu, lanes, shape.c, pass.slope)?;
     let (tiles_x, tiles_y) = (shape.w.div_ceil(NARROW_TILE), shape.h.div_ceil(NARROW_TILE));
     for (begin, end, window_row, y) in tile_windows(gpu, pass.y, NARROW_TILE) {
         let tile_count = (end - begin) * tiles_x;

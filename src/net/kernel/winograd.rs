@@ -8,7 +8,7 @@
 //! upsampling is written to memory, and 11 of the 36 products vanish for what is upsampled.
 
 use super::{Family, conv2d::Layer, conv2d::tile_windows};
-use crate::gpu::{Gpu, Recorder, Slice};
+use crate::gpu::{Gpu, Kernel, Recorder, Slice};
 use crate::net::device::{Channels, DeviceTensor, groups};
 use crate::{Result, push_block, shaders};
 
@@ -118,13 +118,17 @@ pub struct Pass<'a> {
     pub slope: f32,
 }
 
+/// The kernel that writes these channels.
+pub fn kernel(gpu: &Gpu, family: Family, written: Channels) -> Result<Kernel<shaders::winograd::Shader>> {
+    let lanes = family.lanes();
+    gpu.kernel_with_subgroup(&shaders::winograd::Spec { l: lanes, group: group(blocks(family, written)) }, lanes)
+}
+
 /// Records `y = leaky_relu(conv([upsample2d(low), x]) + bias)`.
 pub fn record(gpu: &Gpu, rec: &mut Recorder, family: Family, pass: &Pass<'_>) -> Result<()> {
-    let lanes = family.lanes();
+    let kernel = kernel(gpu, family, pass.y.shape.c)?;
     let blocks = blocks(family, pass.y.shape.c);
     let group = group(blocks);
-    let spec = shaders::winograd::Spec { l: lanes, group };
-    let kernel = gpu.kernel_with_subgroup::<shaders::winograd::Shader>(&spec, lanes)?;
     let shape = pass.y.shape;
     let (tiles_x, tiles_y) = (shape.w.div_ceil(TILE), shape.h.div_ceil(TILE));
     for (begin, end, window_row, y) in tile_windows(gpu, pass.y, TILE) {
