@@ -24,6 +24,7 @@ layout(constant_id = 11) const uint SAMPLER = 1;
 layout(constant_id = 12) const uint BOUNCES = 8;
 layout(constant_id = 13) const bool ANTIALIAS = false;
 layout(constant_id = 14) const bool VARIANCE = false;
+layout(constant_id = 15) const bool CHECKERS = false;      // a surface has two reflectances
 
 const uint ESTIMATOR_UNIFORM = 0u;
 const uint ESTIMATOR_COSINE = 1u;

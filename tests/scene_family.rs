@@ -1,11 +1,13 @@
 //! The family `spheres:N`, its animation, validation, the hash and the host camera.
 
-use glam::{DMat4, DVec3};
+use glam::{DMat4, DVec2, DVec3};
 use limpid::scene::family::{self, FRAME_PERIOD, MIN_GAP};
-use limpid::scene::{Camera, Geometry, Scene, Shape, Spec, mitsuba};
+use limpid::scene::{Camera, Checker, Geometry, Scene, Shape, Spec, mitsuba};
 
 /// Rounding of a distance between points of the box: a few ulp of 1.
 const ROUNDING: f64 = 1e-14;
+
+const CHECKER: Checker = Checker { albedo: DVec3::ZERO, repeats: DVec2::ONE, offset: DVec2::ZERO };
 
 type Change = fn(&mut Scene);
 type BoxedChange = Box<dyn Fn(&mut Scene)>;
@@ -230,13 +232,16 @@ fn hash_sees_every_number() {
     let hash = scene.hash();
     assert!(hash.len() == 16 && hash.bytes().all(|b| b.is_ascii_hexdigit()));
     let next = |v: &mut f64| *v = v.next_up();
-    let changes: [BoxedChange; 9] = [
+    let changes: [BoxedChange; 12] = [
         Box::new(|s| s.camera.width += 1),
         Box::new(|s| s.camera.height += 1),
         Box::new(move |s| next(&mut s.camera.fov_x_degrees)),
         Box::new(move |s| next(&mut s.camera.to_world.w_axis.z)),
         Box::new(move |s| next(&mut s.shapes[0].albedo.x)),
         Box::new(move |s| next(&mut s.shapes[5].radiance.z)),
+        Box::new(|s| s.shapes[0].checker = Some(CHECKER)),
+        Box::new(|s| s.shapes[0].checker = Some(Checker { repeats: DVec2::new(1.0, 2.0), ..CHECKER })),
+        Box::new(|s| s.shapes[0].checker = Some(Checker { albedo: DVec3::X, ..CHECKER })),
         Box::new(|s| s.shapes.swap(6, 7)),
         Box::new(|s| drop(s.shapes.pop())),
         Box::new(move |s| match &mut s.shapes[0].geometry {
@@ -244,10 +249,12 @@ fn hash_sees_every_number() {
             Geometry::Sphere { .. } => unreachable!(),
         }),
     ];
+    let mut hashes = vec![hash.clone()];
     for (i, change) in changes.iter().enumerate() {
         let mut other = scene.clone();
         change(&mut other);
-        assert_ne!(other.hash(), hash, "change {i}");
+        assert!(!hashes.contains(&other.hash()), "change {i}");
+        hashes.push(other.hash());
     }
     let mut same = scene.clone();
     same.shapes[0].name = "another".into();

@@ -1,6 +1,6 @@
 //! The Mitsuba XML loader and writer.
 
-use glam::{DMat3, DMat4, DVec3};
+use glam::{DMat3, DMat4, DVec2, DVec3};
 use limpid::scene::mitsuba::{self, Options};
 use limpid::scene::{Camera, Geometry, Loaded, Scene, Shape, family};
 use proptest::prelude::*;
@@ -157,6 +157,29 @@ fn shapes_and_materials() {
 }
 
 #[test]
+fn checkerboards() {
+    let of = |inside: &str, around: &str| {
+        let texture = format!(
+            r#"<bsdf type="diffuse"><texture type="checkerboard" name="reflectance">{inside}</texture></bsdf>{around}"#
+        );
+        shape(&format!(r#"<shape type="rectangle">{texture}</shape>"#))
+    };
+    let plain = of("", "");
+    let checker = plain.checker.unwrap();
+    assert_eq!((plain.albedo, checker.albedo), (DVec3::splat(0.4), DVec3::splat(0.2)));
+    assert_eq!((checker.repeats, checker.offset), (DVec2::ONE, DVec2::ZERO));
+    let colors = r#"<rgb name="color0" value="0.1 0.2 0.3"/><rgb name="color1" value="0.4 0.5 0.6"/>
+        <transform name="to_uv"><scale x="3" y="5"/><translate x="0.25" y="-0.5"/></transform>"#;
+    let colored = of(colors, "");
+    let checker = colored.checker.unwrap();
+    assert_eq!((colored.albedo, checker.albedo), (DVec3::new(0.1, 0.2, 0.3), DVec3::new(0.4, 0.5, 0.6)));
+    assert_eq!((checker.repeats, checker.offset), (DVec2::new(3.0, 5.0), DVec2::new(0.25, -0.5)));
+    // Where the normal is turned u and v change places, and with them the cells.
+    let flipped = of(colors, r#"<boolean name="flip_normals" value="true"/>"#).checker.unwrap();
+    assert_eq!((flipped.repeats, flipped.offset), (DVec2::new(5.0, 3.0), DVec2::new(-0.5, 0.25)));
+}
+
+#[test]
 fn rotations_follow_the_right_hand() {
     let xml = |axis: &str| {
         format!(r#"<shape type="rectangle"><transform name="to_world"><rotate {axis} angle="30"/></transform></shape>"#)
@@ -219,6 +242,31 @@ fn errors_name_line_and_element() {
         (3, "limit", r#"<integrator type="path"><integer name="max_depth" value="-1"/></integrator>"#),
         (3, "hide_emitters", r#"<integrator type="path"><boolean name="hide_emitters" value="true"/></integrator>"#),
         (3, "'nope'", r#"<shape type="sphere"><ref id="nope"/></shape>"#),
+        (3, "bitmap", r#"<bsdf type="diffuse"><texture type="bitmap" name="reflectance"/></bsdf>"#),
+        (3, "must be named", r#"<bsdf type="diffuse"><texture type="checkerboard" name="x"/></bsdf>"#),
+        (
+            4,
+            "beside its texture",
+            "<bsdf type=\"diffuse\"><float name=\"reflectance\" value=\"1\"/>\n<texture type=\"checkerboard\" name=\"reflectance\"/></bsdf>",
+        ),
+        (
+            3,
+            "rotations",
+            r#"<bsdf type="diffuse"><texture type="checkerboard" name="reflectance">
+            <transform name="to_uv"><rotate z="1" angle="30"/></transform></texture></bsdf>"#,
+        ),
+        (
+            3,
+            "at most 1e4",
+            r#"<bsdf type="diffuse"><texture type="checkerboard" name="reflectance">
+            <transform name="to_uv"><scale x="20000"/></transform></texture></bsdf>"#,
+        ),
+        (
+            3,
+            "rotates a sphere",
+            r#"<shape type="sphere"><transform name="to_world"><rotate x="1" angle="30"/></transform>
+            <bsdf type="diffuse"><texture type="checkerboard" name="reflectance"/></bsdf></shape>"#,
+        ),
         (3, "2 materials", r#"<shape type="sphere"><bsdf type="diffuse"/><bsdf type="diffuse"/></shape>"#),
         (
             3,

@@ -6,7 +6,7 @@ use common::gpu;
 use limpid::denoise::{Axes, Preparation};
 use limpid::net::device::{Channels, DeviceTensor, Shape};
 use limpid::scene::family;
-use limpid::train::data::{Data, DataSettings};
+use limpid::train::data::{Data, DataSettings, Part, Scenes};
 
 const BATCH: u32 = 8;
 const CROP: u32 = 32;
@@ -39,9 +39,11 @@ fn normals_of_crops_are_turned_by_the_scene_s_camera() {
         refresh: 1000,
         spp: 2,
         reference_spp: 2,
+        larger_crops: vec![],
+        scenes: Scenes::Spheres,
     };
-    let axes = Axes::of(&family::spheres(Data::scene_of(&settings, 0)).camera);
-    let mut data = Data::new(&gpu, &settings, Preparation::OPEN_IMAGE_DENOISE, 16).unwrap();
+    let axes = Axes::of(&family::spheres(Data::scene_of(&settings, Part::Training, 0)).camera);
+    let mut data = Data::new(&gpu, &settings, Preparation::OPEN_IMAGE_DENOISE, 16, Part::Training).unwrap();
     data.prepare(0, |_, _| {}).unwrap();
     let (input, target) = tensors(&gpu);
     let walls: Vec<[f64; 3]> = (0..3)
@@ -91,8 +93,10 @@ fn inputs_and_targets_share_their_space() {
         refresh: 1000,
         spp: 1,
         reference_spp: 2,
+        larger_crops: vec![],
+        scenes: Scenes::Spheres,
     };
-    let mut data = Data::new(&gpu, &settings, Preparation::OPEN_IMAGE_DENOISE, 16).unwrap();
+    let mut data = Data::new(&gpu, &settings, Preparation::OPEN_IMAGE_DENOISE, 16, Part::Training).unwrap();
     data.prepare(0, |_, _| {}).unwrap();
     let (input, target) = tensors(&gpu);
     let plane = (CROP * CROP) as usize;

@@ -9,7 +9,7 @@ use limpid::net::architecture::Architecture;
 use limpid::net::kernel::Family;
 use limpid::net::weights::Weights;
 use limpid::train::checkpoint;
-use limpid::train::data::DataSettings;
+use limpid::train::data::{DataSettings, Scenes};
 use limpid::train::run::{FIRST_LOSSES, Length, RUN, Run, RunState};
 
 fn state(seed: u64) -> RunState {
@@ -23,6 +23,8 @@ fn state(seed: u64) -> RunState {
         refresh: 2,
         spp: 2,
         reference_spp: 4,
+        larger_crops: vec![],
+        scenes: Scenes::Spheres,
     };
     RunState::new("seed", data, 1e-3, Length::Steps(8), None)
 }

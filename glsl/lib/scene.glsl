@@ -4,10 +4,11 @@
 #define LIMPID_SCENE_GLSL
 
 #include "lib/intersect.glsl"
+#include "lib/sampling.glsl"
 
 const uint NONE = 0xffffffffu;
 const int CAMERA_ROWS = 4;
-const int PRIMITIVE_ROWS = 10;
+const int PRIMITIVE_ROWS = 12;
 
 vec4 row(uint id, int k) { return imageLoad(scene, CAMERA_ROWS + int(id) * PRIMITIVE_ROWS + k); }
 
@@ -22,6 +23,8 @@ const int HALF_U = 6;   // w: limit to which a hit is pulled inside
 const int HALF_V = 7;
 const int EXTENT = 8;   // across an axis: half extents, enlarged
 const int INNER = 9;    // across an axis: half extents to which a hit is pulled inside
+const int CHECKER = 10; // the second reflectance, w: 1 where there is one
+const int CHECKER_UV = 11; // repeats and offset
 
 const uint SPHERES = SPHERE_COUNT > 0u ? SPHERE_COUNT : 1u;
 const uint RECTS = RECT_COUNT > 0u ? RECT_COUNT : 1u;
@@ -119,6 +122,23 @@ bool occluded(vec3 o, vec3 d, float t_max, uint receiver, uint light) {
     return blocked;
 }
 
+// The reflectance at a point of a surface that may have a checkerboard (src/scene/mod.rs, Checker).
+vec3 checkered(uint id, bool rect, vec3 p, vec3 albedo) {
+    vec4 second = row(id, CHECKER);
+    vec4 map = row(id, CHECKER_UV);
+    vec3 f = p - row(id, GEOMETRY).xyz;
+    vec2 uv;
+    if (rect) {
+        uv = 0.5 + 0.5 * vec2(dot(f, row(id, DUAL_U).xyz), dot(f, row(id, DUAL_V).xyz));
+    } else {
+        vec3 n = normalize(f);
+        float turn = atan(n.y, n.x) / (2.0 * PI);
+        uv = vec2(turn < 0.0 ? turn + 1.0 : turn, acos(clamp(n.z, -1.0, 1.0)) / PI);
+    }
+    bvec2 upper = greaterThan(fract(uv * map.xy + map.zw), vec2(0.5));
+    return second.w == 0.0 || upper.x == upper.y ? albedo : second.rgb;
+}
+
 // The hit, pulled back onto its surface: a ray's far end is less exact than the surface is.
 Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
     Vertex v;
@@ -162,6 +182,7 @@ Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
         float b = clamp(dot(f, row(id, DUAL_V).xyz), -half_v.w, half_v.w);
         v.p = center + a * half_u.xyz + b * half_v.xyz;
     }
+    if (CHECKERS) v.albedo = checkered(id, rect, v.p, v.albedo);
     v.front = dot(d, v.n) < 0.0;
     v.p += offset * v.n;
     return v;

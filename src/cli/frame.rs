@@ -10,7 +10,7 @@ use limpid::denoise::{Axes, Guides};
 use limpid::gpu::Gpu;
 use limpid::image::{Image, exr, file};
 use limpid::render::{Features, Renderer, Settings};
-use limpid::scene::{Scene, family};
+use limpid::scene::Scene;
 use limpid::{Error, Result};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
@@ -23,8 +23,8 @@ const CHECKPOINT_SHARE: u32 = 20;
 pub struct Frame {
     /// Frame of the animation, where there is one.
     pub number: Option<u32>,
-    /// The scene is of the random family.
-    pub family: bool,
+    /// Version of the scene's random family; none for other scenes.
+    pub family_version: Option<u32>,
     /// The scene.
     pub scene: Scene,
     /// How.
@@ -189,8 +189,8 @@ impl<'a> Work<'a> {
         let mut set = |name: &str, value: String| image.attributes.insert(name.to_owned(), value);
         set("scene", self.args.scene.clone());
         set("limpid", env!("CARGO_PKG_VERSION").to_owned());
-        if frame.family {
-            set("familyVersion", family::FAMILY_VERSION.to_string());
+        if let Some(version) = frame.family_version {
+            set("familyVersion", version.to_string());
         }
         if let Some(t) = frame.number {
             set("frame", t.to_string());

@@ -118,6 +118,7 @@ impl Args {
             (Some(path), _) => path.clone(),
             (None, Spec::Canonical) => "spheres.exr".into(),
             (None, Spec::Family(n)) => format!("spheres-{n}.exr").into(),
+            (None, Spec::Rooms(n)) => format!("rooms-{n}.exr").into(),
             (None, Spec::File(path)) => Path::new(path.file_stem().unwrap_or("scene".as_ref())).with_extension("exr"),
         };
         Files::new(&name)
@@ -140,7 +141,7 @@ impl Args {
             aa: self.aa,
             variance: self.variance,
         };
-        Ok(Frame { number: frame, family: matches!(spec, Spec::Family(_)), scene, settings })
+        Ok(Frame { number: frame, family_version: spec.family_version(), scene, settings })
     }
 }
 

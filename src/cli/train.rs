@@ -13,7 +13,7 @@ use limpid::net::architecture::Architecture;
 use limpid::net::kernel::Family;
 use limpid::net::weights::Weights;
 use limpid::train::checkpoint;
-use limpid::train::data::DataSettings;
+use limpid::train::data::{DataSettings, Scenes};
 use limpid::train::run::{FIRST_LOSSES, Length, RUN, Run, RunState, StepRecord, VERIFIED_STEPS};
 use limpid::{Error, Result};
 use serde_json::{Value, json};
@@ -53,12 +53,16 @@ pub struct Args {
     /// Largest learning rate: reached after 50 steps, then half a cosine down to a hundredth.
     #[arg(long, default_value_t = 1e-3)]
     learning_rate: f64,
-    /// Crops a step.
+    /// Crops a step, of the smallest size.
     #[arg(long, default_value_t = DataSettings::default().batch)]
     batch: u32,
-    /// Side of a crop, pixels.
-    #[arg(long, default_value_t = DataSettings::default().crop)]
-    crop: u32,
+    /// Sides of crops, pixels, the smallest first: a step has crops of one size, of larger ones fewer.
+    #[arg(long, value_delimiter = ',', default_value = "128,256,384", value_name = "SIDE,...")]
+    crop: Vec<u32>,
+    /// Scenes to train on: `spheres` (16 samples, one camera ray a pixel), or `mixed` with `rooms`, 4 to 64 samples and
+    /// both kinds of camera rays.
+    #[arg(long, default_value = "mixed")]
+    scenes: Scenes,
     /// Side of the rendered windows that crops are taken from, pixels.
     #[arg(long, default_value_t = DataSettings::default().window)]
     window: u32,
@@ -93,7 +97,9 @@ impl Args {
         DataSettings {
             seed: self.seed,
             batch: self.batch,
-            crop: self.crop,
+            crop: self.crop[0],
+            larger_crops: self.crop[1..].to_vec(),
+            scenes: self.scenes,
             window: self.window,
             pool: self.pool,
             initial: self.initial,
@@ -153,7 +159,7 @@ pub fn run(args: &Args) -> Result<u8> {
             "length": state.length,
             "learning_rate": state.learning_rate,
             "steps": state.step,
-            "chunks": state.step * u64::from(state.data.batch),
+            "chunks": state.crops,
             "seconds": state.seconds,
             "losses": state.losses,
             "finished": state.done(),
@@ -189,7 +195,7 @@ fn show(progress: &mut Progress, state: &RunState, record: &StepRecord) {
     let loss = if recent.is_empty() { record.loss } else { recent.iter().sum::<f64>() / recent.len() as f64 };
     progress.note(format!("step {}, loss {loss:.5}, ", record.step));
     let done = state.progress();
-    progress.update(done, (state.step * u64::from(state.data.batch)) as f64 / done, " chunks");
+    progress.update(done, state.crops as f64 / done, " chunks");
 }
 
 fn begin(args: &Args, gpu: &Gpu, family: Family) -> Result<Run> {

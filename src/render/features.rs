@@ -29,6 +29,8 @@ pub struct Features {
     pub rect_axes: u32,
     /// One bit a rectangle: set where it can come between a surface and a light.
     pub rect_blockers: u32,
+    /// A surface has two reflectances in a checkerboard.
+    pub checkers: bool,
     /// Few primitives: all in registers.
     pub preload: bool,
     /// The camera is inside a sphere whose normal points outward.
@@ -71,6 +73,7 @@ impl Features {
             inward_light_count: count(&|s| is_inward(s) && emits(s)),
             rect_axes,
             rect_blockers,
+            checkers: shapes.iter().any(|s| s.checker.is_some()),
             preload,
             camera_inside: camera_inside(scene),
             estimator: settings.estimator,
@@ -91,6 +94,7 @@ impl Features {
             inward_light_count: self.inward_light_count,
             rect_axes: self.rect_axes,
             rect_blockers: self.rect_blockers,
+            checkers: self.checkers,
             preload: self.preload,
             camera_inside: self.camera_inside,
             estimator: match self.estimator {
@@ -134,6 +138,7 @@ impl Features {
         skip(self.inward_count == 0, "inward spheres");
         skip(lights < 2 && self.estimator == Estimator::Nee, "choice among lights");
         skip(self.estimator != Estimator::Nee, "light sampling and shadow rays");
+        skip(!self.checkers, "checkerboards");
         skip(!self.camera_inside, "far sides of outward spheres");
         skip(self.preload, "primitive loops (all primitives in registers)");
         skip(!self.aa, "a camera ray for every sample (one first hit a pixel)");

@@ -4,12 +4,14 @@ use glam::{DMat3, DVec3};
 
 use super::features::{axis_of, emits, is_inward, is_rect};
 use crate::Result;
-use crate::scene::{Geometry, Scene, Shape};
+use crate::scene::{Checker, Geometry, Scene, Shape};
 
 /// Rows of the camera before the first primitive.
 const CAMERA_ROWS: usize = 4;
 /// Rows of one primitive (glsl/path_trace.comp names them).
-const PRIMITIVE_ROWS: usize = 10;
+const PRIMITIVE_ROWS: usize = 12;
+/// Rows before those of the checkerboard.
+const CHECKER_ROW: usize = 10;
 
 /// Where the scene is and how large: its centre becomes the origin and `scale`, a power of two, brings its half extent into [1, 2).
 /// A power of two changes no bit of a mantissa, so scenes that differ by one give the same image.
@@ -157,6 +159,11 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
             rows.push(row(u.abs() * test_u + v.abs() * test_v, 0.0));
             rows.push(row(u.abs() * inner_u + v.abs() * inner_v, 0.0));
         }
+    }
+    rows.resize(begin + CHECKER_ROW, [0.0; 4]);
+    if let Some(Checker { albedo, repeats, offset }) = shape.checker {
+        rows.push(row(albedo, 1.0));
+        rows.push([repeats.x, repeats.y, offset.x, offset.y].map(|v| v as f32));
     }
     rows.resize(begin + PRIMITIVE_ROWS, [0.0; 4]);
 }

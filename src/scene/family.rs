@@ -114,6 +114,7 @@ impl Member {
                 name: SPHERE_NAMES[i].to_owned(),
                 geometry: Geometry::Sphere { center: path.center(t), radius: path.radius, inward: false },
                 albedo: self.albedos[i],
+                checker: None,
                 radiance: DVec3::splat(radiance),
             });
         }
@@ -220,14 +221,18 @@ fn draw_centers(n: u64, radii: &[f64; SPHERE_COUNT]) -> [DVec3; SPHERE_COUNT] {
     }
 }
 
-fn between(low: f64, high: f64, u: f64) -> f64 {
+pub(super) fn between(low: f64, high: f64, u: f64) -> f64 {
     positive_zero(low + (high - low) * u)
 }
 
-/// Draw `index` of scene N, in [0, 1).
 fn uniform(n: u64, index: u32) -> f64 {
     const SALT: u32 = 0x6c69_6d70; // "limp"
-    let bits = pcg4d([n as u32, (n >> 32) as u32, index, SALT]);
+    uniform_of(n, index, SALT)
+}
+
+/// Draw `index` of scene N of the family with this salt, in [0, 1).
+pub(super) fn uniform_of(n: u64, index: u32, salt: u32) -> f64 {
+    let bits = pcg4d([n as u32, (n >> 32) as u32, index, salt]);
     let bits = (u64::from(bits[0]) << 21) | u64::from(bits[1] >> 11);
     bits as f64 * (1.0 / (1u64 << 53) as f64)
 }

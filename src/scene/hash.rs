@@ -30,6 +30,11 @@ impl Scene {
                 }
             }
             vectors(&mut state, &[shape.albedo, shape.radiance]);
+            if let Some(checker) = shape.checker {
+                state.update(b"c");
+                vectors(&mut state, &[checker.albedo]);
+                numbers(&mut state, &[checker.repeats.to_array(), checker.offset.to_array()].concat());
+            }
         }
         state.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect()
     }

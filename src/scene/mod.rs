@@ -5,12 +5,13 @@ pub mod family;
 mod hash;
 pub mod math;
 pub mod mitsuba;
+pub mod rooms;
 mod spec;
 pub mod validate;
 
 pub use spec::{Loaded, Spec};
 
-use glam::{DMat4, DVec3};
+use glam::{DMat4, DVec2, DVec3, Vec2Swizzles};
 
 /// A pinhole camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,6 +50,28 @@ pub enum Geometry {
     },
 }
 
+/// A checkerboard in the surface's parameters (u, v), as Mitsuba's `checkerboard` texture: the cell of (u, v) follows from
+/// `uv = repeats * (u, v) + offset`; where both or neither of the fractions of uv are above 1/2 lies the first reflectance, elsewhere the
+/// second. On a rectangle u and v run from 0 to 1 along `half_u` and `half_v`; on a sphere u is the longitude about z from x, as
+/// part of a turn, and v the angle from z as part of half a turn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Checker {
+    /// The second reflectance, linear RGB, each in [0, 1]; [`Shape::albedo`] is the first.
+    pub albedo: DVec3,
+    /// Pairs of cells along u and v.
+    pub repeats: DVec2,
+    /// Shift of the cells, in pairs.
+    pub offset: DVec2,
+}
+
+impl Checker {
+    /// The same cells where u and v change places.
+    #[must_use]
+    pub fn swapped(self) -> Self {
+        Self { repeats: self.repeats.yx(), offset: self.offset.yx(), ..self }
+    }
+}
+
 /// A shape with its diffuse material and, for a light, its emission.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
@@ -58,6 +81,8 @@ pub struct Shape {
     pub geometry: Geometry,
     /// Lambertian reflectance, linear RGB, each in [0, 1].
     pub albedo: DVec3,
+    /// A second reflectance in a checkerboard; none where the surface has one colour.
+    pub checker: Option<Checker>,
     /// Emitted radiance, linear RGB, each >= 0 and finite; zero for what is no light.
     pub radiance: DVec3,
 }

@@ -1,6 +1,6 @@
-//! What a user may name as a scene: `spheres`, `spheres:N` or a file.
+//! What a user may name as a scene: `spheres`, `spheres:N`, `rooms:N` or a file.
 
-use super::{Scene, family, mitsuba};
+use super::{Scene, family, mitsuba, rooms};
 use crate::{Error, Result};
 use std::path::PathBuf;
 
@@ -11,6 +11,8 @@ pub enum Spec {
     Canonical,
     /// `spheres:N`: scene N of the family.
     Family(u64),
+    /// `rooms:N`: scene N of the other family.
+    Rooms(u64),
     /// A Mitsuba 3 XML file.
     File(PathBuf),
 }
@@ -33,13 +35,14 @@ impl std::str::FromStr for Spec {
         if spec == "spheres" {
             return Ok(Self::Canonical);
         }
-        if let Some(number) = spec.strip_prefix("spheres:") {
+        for (family, of) in [("spheres", Self::Family as fn(u64) -> Self), ("rooms", Self::Rooms)] {
+            let Some(number) = spec.strip_prefix(family).and_then(|rest| rest.strip_prefix(':')) else { continue };
             // `parse` alone would take a plus sign.
             let digits = !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit());
             return match number.parse() {
-                Ok(n) if digits => Ok(Self::Family(n)),
+                Ok(n) if digits => Ok(of(n)),
                 _ => Err(Error::input(format!(
-                    "scene '{spec}': '{number}' is no scene number; write spheres:N with N from 0 to {}",
+                    "scene '{spec}': '{number}' is no scene number; write {family}:N with N from 0 to {}",
                     u64::MAX
                 ))),
             };
@@ -50,7 +53,7 @@ impl std::str::FromStr for Spec {
 
 impl Spec {
     /// Loads and validates the scene. `options` serve a file: its parameters and the image size; the size also replaces
-    /// the 768x768 of the two other kinds.
+    /// the 768x768 of the other kinds.
     pub fn load(&self, options: &mitsuba::Options) -> Result<Loaded> {
         let scene = match self {
             Self::File(path) => return mitsuba::load(path, options),
@@ -59,8 +62,19 @@ impl Spec {
             }
             Self::Canonical => family::canonical(),
             Self::Family(n) => family::spheres(*n),
+            Self::Rooms(n) => rooms::rooms(*n),
         };
         sized(scene, options)
+    }
+
+    /// The version of the random family that the scene is of.
+    #[must_use]
+    pub fn family_version(&self) -> Option<u32> {
+        match self {
+            Self::Family(_) => Some(family::FAMILY_VERSION),
+            Self::Rooms(_) => Some(rooms::ROOMS_VERSION),
+            Self::Canonical | Self::File(_) => None,
+        }
     }
 
     /// Loads frame `t` of an animation; only `spheres:N` has one.
@@ -81,7 +95,7 @@ fn sized(mut scene: Scene, options: &mitsuba::Options) -> Result<Loaded> {
 }
 
 impl Scene {
-    /// Loads the scene named `spec`: `spheres`, `spheres:N` or the path of a Mitsuba 3 XML file.
+    /// Loads the scene named `spec`: `spheres`, `spheres:N`, `rooms:N` or the path of a Mitsuba 3 XML file.
     pub fn from_spec(spec: &str) -> Result<Self> {
         Ok(spec.parse::<Spec>()?.load(&mitsuba::Options::default())?.scene)
     }

@@ -1,6 +1,6 @@
 //! What a scene must fulfil before anything is rendered.
 
-use super::{Camera, Geometry, Scene, Shape};
+use super::{Camera, Checker, Geometry, Scene, Shape};
 pub use crate::image::{MAX_PIXELS, MAX_SIDE, check_size};
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
@@ -11,6 +11,8 @@ pub const MAX_LENGTH: f64 = 1e15;
 pub const MIN_LENGTH: f64 = 1e-15;
 /// The largest radiance: sums over millions of samples stay finite in f32.
 pub const MAX_RADIANCE: f64 = 1e30;
+/// The most repeats of a checkerboard: its cells stay wider than the roundings of u and v in f32.
+pub const MAX_REPEATS: f64 = 1e4;
 /// How far a rectangle's corner may be from 90 degrees (cosine), and a camera's axes from orthonormal.
 pub const SHEAR_TOLERANCE: f64 = 1e-6;
 
@@ -65,7 +67,20 @@ impl Shape {
             Geometry::Rectangle { center, half_u, half_v } => check_rectangle(center, half_u, half_v)?,
         }
         check_albedo(self.albedo)?;
+        self.checker.map_or(Ok(()), Checker::validate)?;
         check_radiance(self.radiance)
+    }
+}
+
+impl Checker {
+    /// Refuses a checkerboard that cannot be rendered; see [`Scene::validate`].
+    pub(super) fn validate(self) -> Result<()> {
+        check_albedo(self.albedo)?;
+        let numbers = [self.repeats.to_array(), self.offset.to_array()].concat();
+        if numbers.iter().all(|v| v.abs() <= MAX_REPEATS) {
+            return Ok(());
+        }
+        Err(Error::input(format!("checkerboard: to_uv scales and shifts by {numbers:?}; at most {MAX_REPEATS:e} each")))
     }
 }
 

@@ -1,14 +1,14 @@
-//! Training data: members of the scene family, rendered on the device as training goes.
+//! Training data: members of the scene families, rendered on the device as training goes.
 //!
-//! A pool holds examples: a window of a frame with its reference and four noisy versions, two of each estimator. Which
+//! A pool holds examples: a window of a frame with its reference and noisy versions. Which
 //! example, crop and orientation a step uses follows from (seed, step), so that a run can be repeated and resumed.
 
 use crate::denoise::{Axes, Crop, Frame, FrameStats, Guides, Inputs, Preparation, record_input};
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
 use crate::net::device::{DeviceTensor, groups};
 use crate::net::tensor::hash;
-use crate::render::{Estimator, FilmWindow, Renderer, Sampler, Settings};
-use crate::scene::{Scene, family};
+use crate::render::{Estimator, FilmWindow, Outputs, Renderer, Sampler, Settings};
+use crate::scene::{Scene, family, rooms};
 use crate::{Error, Result, push_block, shaders};
 use serde::{Deserialize, Serialize};
 
@@ -19,15 +19,50 @@ push_block! {
     }
 }
 
+/// Which scenes a training run sees.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Scenes {
+    /// `spheres:N` alone, one camera ray a pixel, a fixed number of samples.
+    #[default]
+    Spheres,
+    /// `spheres:N` and `rooms:N`, one camera ray a pixel or one a sample, 4 to 64 samples a pixel.
+    Mixed,
+}
+
+impl std::str::FromStr for Scenes {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        match name {
+            "spheres" => Ok(Self::Spheres),
+            "mixed" => Ok(Self::Mixed),
+            _ => Err(Error::input(format!("scenes `{name}`: one of spheres, mixed"))),
+        }
+    }
+}
+
+/// Whether scenes are for training or held out from it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// N below [`family::HELD_OUT`].
+    Training,
+    /// N of [`family::HELD_OUT`].
+    HeldOut,
+}
+
 /// What a training run sees.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DataSettings {
     /// Seed of scenes, noise, crops and orientations.
     pub seed: u64,
-    /// Crops a step.
+    /// Crops a step, of the smallest size.
     pub batch: u32,
-    /// Side of a crop, pixels; a multiple of the network's alignment.
+    /// Side of the smallest crops, pixels; a multiple of the network's alignment.
     pub crop: u32,
+    /// Sides of the other crops; a step has crops of one size, of each as often, and of larger ones fewer.
+    #[serde(default)]
+    pub larger_crops: Vec<u32>,
     /// Side of an example, pixels.
     pub window: u32,
     /// Examples kept at a time.
@@ -36,24 +71,29 @@ pub struct DataSettings {
     pub initial: u32,
     /// Steps between new examples.
     pub refresh: u32,
-    /// Samples a pixel of the noisy versions.
+    /// Samples a pixel of the noisy versions, where they are fixed.
     pub spp: u32,
     /// Samples a pixel of the reference (`nee`, `sobol`).
     pub reference_spp: u32,
+    /// Which scenes.
+    #[serde(default)]
+    pub scenes: Scenes,
 }
 
 impl Default for DataSettings {
     fn default() -> Self {
         Self {
             seed: 0,
-            batch: 4,
+            batch: 8,
             crop: 128,
-            window: 256,
+            larger_crops: vec![256, 384],
+            window: 384,
             pool: 64,
             initial: 16,
             refresh: 3,
             spp: 16,
             reference_spp: 128,
+            scenes: Scenes::Mixed,
         }
     }
 }
@@ -65,13 +105,40 @@ impl DataSettings {
         if positive.contains(&0) {
             return Err(Error::input(format!("a training setting is 0: {self:?}")));
         }
-        if !self.crop.is_multiple_of(alignment) || self.crop > self.window {
-            return Err(Error::input(format!(
-                "crops of {} pixels: they must be multiples of {alignment} and at most the window's {}",
-                self.crop, self.window
-            )));
+        for crop in std::iter::once(&self.crop).chain(&self.larger_crops) {
+            if *crop < self.crop || !crop.is_multiple_of(alignment) || *crop > self.window {
+                return Err(Error::input(format!(
+                    "crops of {crop} pixels: they must be multiples of {alignment}, the smallest first, and at most the \
+                     window's {}",
+                    self.window
+                )));
+            }
         }
         Ok(())
+    }
+
+    /// Crops a step and their side, by size: about as many pixels each.
+    #[must_use]
+    pub fn sizes(&self) -> Vec<(u32, u32)> {
+        let crops = |side: u32| {
+            let pixels = u64::from(self.batch) * u64::from(self.crop) * u64::from(self.crop);
+            let each = u64::from(side) * u64::from(side);
+            (((pixels + each / 2) / each).max(1) as u32, side)
+        };
+        std::iter::once(self.crop).chain(self.larger_crops.iter().copied()).map(crops).collect()
+    }
+
+    /// Which of [`Self::sizes`] step `step` (from 0) has.
+    #[must_use]
+    pub fn size_at(&self, step: u64) -> usize {
+        (draws(self.seed, Stream::Size, step)(0) % (1 + self.larger_crops.len() as u64)) as usize
+    }
+
+    /// Crops in the first `steps` steps.
+    #[must_use]
+    pub fn crops_in(&self, steps: u64) -> u64 {
+        let sizes = self.sizes();
+        (0..steps).map(|step| u64::from(sizes[self.size_at(step)].0)).sum()
     }
 
     /// Examples made before step `step` (from 0) is taken.
@@ -81,13 +148,8 @@ impl DataSettings {
     }
 }
 
-/// Noisy versions of an example: estimator and sampler.
-const NOISE: [(Estimator, Sampler); 4] = [
-    (Estimator::Cosine, Sampler::Pcg),
-    (Estimator::Nee, Sampler::Sobol),
-    (Estimator::Cosine, Sampler::Pcg),
-    (Estimator::Nee, Sampler::Sobol),
-];
+/// Noisy versions of an example.
+const VERSIONS: usize = 2;
 /// Whole pictures that an example is a window of are this many times as large as the window, in fourths.
 const PICTURE_FOURTHS: [u32; 4] = [4, 8, 12, 12];
 /// Side of the small picture that exposure and depth scale come from.
@@ -98,6 +160,7 @@ const OVERVIEW: u32 = 96;
 enum Stream {
     Example = 1,
     Batch = 2,
+    Size = 3,
 }
 
 /// Numbers for one purpose and index: `draw(i)` for i = 0, 1, ...
@@ -106,53 +169,46 @@ fn draws(seed: u64, stream: Stream, index: u64) -> impl Fn(u64) -> u64 {
     move |i| hash(key, i)
 }
 
-struct Example {
-    noisy: [Slice; 4],
-    reference: Slice,
+/// A noisy picture with what its camera rays hit.
+struct Version {
+    radiance: Slice,
     guides: Guides,
+}
+
+struct Example {
+    noisy: [Version; VERSIONS],
+    reference: Slice,
     stats: Slice,
 }
 
-/// The pool and the renderers that fill it.
+/// The pool of examples.
 pub struct Data {
     gpu: Gpu,
     settings: DataSettings,
+    part: Part,
     preparation: Preparation,
     examples: Vec<Example>,
     made: u64,
-    noisy: [Option<Renderer>; 2],
-    reference: Option<Renderer>,
-    overview: Option<Renderer>,
     frame_stats: FrameStats,
     _pool: Buffer,
 }
 
-/// Renders `scene` with `settings`, with `slot`'s renderer where it fits.
-fn render<'a>(
-    gpu: &Gpu,
-    slot: &'a mut Option<Renderer>,
-    scene: &Scene,
-    film: Option<FilmWindow>,
-    settings: &Settings,
-) -> Result<&'a mut Renderer> {
-    let fits = match slot {
-        Some(renderer) => renderer.set_scene_window(scene, film).is_ok(),
-        None => false,
-    };
-    if !fits {
-        let mut fresh = Renderer::new(gpu, scene, settings)?;
-        fresh.set_scene_window(scene, film)?;
-        *slot = Some(fresh);
-    }
-    let renderer = slot.as_mut().expect("made above");
-    renderer.set_seed(settings.seed);
+fn render(gpu: &Gpu, scene: &Scene, film: Option<FilmWindow>, settings: &Settings) -> Result<Outputs> {
+    let mut renderer = Renderer::new(gpu, scene, settings)?;
+    renderer.set_scene_window(scene, film)?;
     renderer.finish()?;
-    Ok(renderer)
+    renderer.outputs()
 }
 
 impl Data {
     /// An empty pool for a network of this alignment, which reads frames prepared so.
-    pub fn new(gpu: &Gpu, settings: &DataSettings, preparation: Preparation, alignment: u32) -> Result<Self> {
+    pub fn new(
+        gpu: &Gpu,
+        settings: &DataSettings,
+        preparation: Preparation,
+        alignment: u32,
+        part: Part,
+    ) -> Result<Self> {
         settings.check(alignment)?;
         let frame = u64::from(settings.window) * u64::from(settings.window) * 16;
         let frame = frame.next_multiple_of(256);
@@ -160,41 +216,53 @@ impl Data {
             Inputs::NormalScreenDepth => 1,
             Inputs::AlbedoNormal => 2,
         };
-        let each = frame * (5 + guides) + 256;
+        let version = 1 + guides;
+        let each = frame * (1 + VERSIONS as u64 * version) + 256;
         let pool = gpu.buffer("training pool", each * u64::from(settings.pool))?;
         let example = |i: u64| {
             let part = |k: u64| pool.slice(i * each + k * frame, frame);
+            let noisy = |k: usize| {
+                let first = 1 + k as u64 * version;
+                Version {
+                    radiance: part(first),
+                    guides: match preparation.inputs {
+                        Inputs::NormalScreenDepth => Guides::NormalScreenDepth { screen: part(first + 1) },
+                        Inputs::AlbedoNormal => Guides::AlbedoNormal {
+                            albedo: part(first + 1),
+                            normal_world: part(first + 2),
+                            axes: Axes::default(),
+                        },
+                    },
+                }
+            };
             Example {
-                noisy: std::array::from_fn(|k| part(k as u64)),
-                reference: part(4),
-                guides: match preparation.inputs {
-                    Inputs::NormalScreenDepth => Guides::NormalScreenDepth { screen: part(5) },
-                    Inputs::AlbedoNormal => {
-                        Guides::AlbedoNormal { albedo: part(5), normal_world: part(6), axes: Axes::default() }
-                    }
-                },
-                stats: pool.slice(i * each + (5 + guides) * frame, 16),
+                noisy: std::array::from_fn(noisy),
+                reference: part(0),
+                stats: pool.slice((i + 1) * each - 256, 16),
             }
         };
         Ok(Self {
             gpu: gpu.clone(),
             settings: settings.clone(),
+            part,
             preparation,
             examples: (0..u64::from(settings.pool)).map(example).collect(),
             made: 0,
-            noisy: [None, None],
-            reference: None,
-            overview: None,
             frame_stats: FrameStats::new(gpu, preparation.transfer, OVERVIEW, OVERVIEW)?,
             _pool: pool,
         })
     }
 
-    /// The family members shown so far are these, by example: never one that is held out.
+    /// The number of the scene of an example: held out or not, as the part says.
     #[must_use]
-    pub fn scene_of(settings: &DataSettings, example: u64) -> u64 {
-        let n = draws(settings.seed, Stream::Example, example)(0) % family::HELD_OUT.start();
-        assert!(!family::is_held_out(n));
+    pub fn scene_of(settings: &DataSettings, part: Part, example: u64) -> u64 {
+        let draw = draws(settings.seed, Stream::Example, example)(0);
+        let (first, last) = (*family::HELD_OUT.start(), *family::HELD_OUT.end());
+        let n = match part {
+            Part::Training => draw % first,
+            Part::HeldOut => first + draw % (last - first + 1),
+        };
+        assert_eq!(family::is_held_out(n), part == Part::HeldOut);
         n
     }
 
@@ -212,72 +280,72 @@ impl Data {
 
     fn make(&mut self, index: u64) -> Result<()> {
         let draw = draws(self.settings.seed, Stream::Example, index);
+        let mixed = self.settings.scenes == Scenes::Mixed;
+        let (rooms, aa) = (mixed && draw(10) % 2 == 1, mixed && draw(11) % 2 == 1);
         let window = self.settings.window;
         let side = window * PICTURE_FOURTHS[(draw(1) % 4) as usize] / 4;
         let place = |i: u64| (draw(i) % u64::from(side - window + 1)) as u32;
         let film = FilmWindow { width: side, height: side, x: place(2), y: place(3) };
-        let mut scene = family::spheres(Self::scene_of(&self.settings, index));
+        let n = Self::scene_of(&self.settings, self.part, index);
+        let mut scene = if rooms { rooms::rooms(n) } else { family::spheres(n) };
         let gpu = self.gpu.clone();
-        let settings = |spp, estimator, sampler, seed: u64| Settings {
+        let settings = |spp, (estimator, sampler), seed: u64| Settings {
             spp,
             seed: seed as u32,
             estimator,
             sampler,
+            aa,
             ..Settings::default()
         };
+        let best = (Estimator::Nee, Sampler::Sobol);
 
         (scene.camera.width, scene.camera.height) = (OVERVIEW, OVERVIEW);
-        let overview = settings(self.settings.spp, Estimator::Nee, Sampler::Sobol, draw(4));
-        let outputs = render(&gpu, &mut self.overview, &scene, None, &overview)?.outputs()?;
+        let outputs = render(&gpu, &scene, None, &settings(self.settings.spp, best, draw(4)))?;
         let axes = Axes::of(&scene.camera);
+        let inputs = self.preparation.inputs;
         let example = &mut self.examples[(index % u64::from(self.settings.pool)) as usize];
-        example.guides.set_axes(axes);
         let mut rec = gpu.recorder();
-        let guides = Guides::of(&outputs, self.preparation.inputs, axes);
-        self.frame_stats.record(&mut rec, &outputs.radiance, &guides, &example.stats)?;
+        self.frame_stats.record(&mut rec, &outputs.radiance, &Guides::of(&outputs, inputs, axes), &example.stats)?;
         rec.finish()?.run()?;
 
         (scene.camera.width, scene.camera.height) = (window, window);
-        let copy = |pairs: &[(&Slice, &Slice)]| -> Result<()> {
-            let mut rec = gpu.recorder();
-            for (from, to) in pairs {
-                rec.copy(&from.slice(0, to.bytes()), to);
-            }
-            rec.finish()?.run()?;
-            Ok(())
-        };
-        for (k, (estimator, sampler)) in NOISE.into_iter().enumerate() {
-            let noisy = settings(self.settings.spp, estimator, sampler, draw(5 + k as u64));
-            let outputs = render(&gpu, &mut self.noisy[k % 2], &scene, Some(film), &noisy)?.outputs()?;
-            let guides = Guides::of(&outputs, self.preparation.inputs, axes);
-            let mut pairs = guides.planes().into_iter().zip(example.guides.planes()).collect::<Vec<_>>();
-            pairs.push((&outputs.radiance, &example.noisy[k]));
-            copy(&pairs)?;
+        // Where lights may be small, paths rarely meet them: light sampling three times of four.
+        let found = if rooms && draw(12) % 4 != 0 { Estimator::Nee } else { Estimator::Cosine };
+        for (k, technique) in [(found, Sampler::Pcg), best].into_iter().enumerate() {
+            let (seed, spp) = (draw(5 + k as u64), 4 << (draw(13 + k as u64) % 5));
+            let spp = if mixed { spp } else { self.settings.spp };
+            let outputs = render(&gpu, &scene, Some(film), &settings(spp, technique, seed))?;
+            let version = &mut example.noisy[k];
+            version.guides.set_axes(axes);
+            let from = Guides::of(&outputs, inputs, axes);
+            let mut pairs = from.planes().into_iter().zip(version.guides.planes()).collect::<Vec<_>>();
+            pairs.push((&outputs.radiance, &version.radiance));
+            copy(&gpu, &pairs)?;
         }
-        let reference = settings(self.settings.reference_spp, Estimator::Nee, Sampler::Sobol, draw(9));
-        let outputs = render(&gpu, &mut self.reference, &scene, Some(film), &reference)?.outputs()?;
-        copy(&[(&outputs.radiance, &example.reference)])
+        let outputs = render(&gpu, &scene, Some(film), &settings(self.settings.reference_spp, best, draw(9)))?;
+        copy(&gpu, &[(&outputs.radiance, &example.reference)])
     }
 
-    /// Writes the inputs and targets of step `step` to the device tensors of a batch. [`Self::prepare`] comes before.
+    /// Writes the inputs and targets of step `step` to the device tensors of a batch, of the size that the step has.
+    /// [`Self::prepare`] comes before.
     pub fn load(&self, step: u64, input: &DeviceTensor, target: &DeviceTensor) -> Result<()> {
         let s = &self.settings;
         let draw = draws(s.seed, Stream::Batch, step);
         let ready = self.made.min(u64::from(s.pool));
+        let (batch, side) = (input.shape.n, input.shape.w);
         let mut rec = self.gpu.recorder();
-        for i in 0..u64::from(s.batch) {
+        for i in 0..u64::from(batch) {
             let number = |k: u64, below: u64| draw(i * 8 + k) % below;
             let example = &self.examples[number(0, ready) as usize];
-            let noisy = &example.noisy[number(1, 4) as usize];
-            let place = |k| number(k, u64::from(s.window - s.crop + 1)) as u32;
-            let crop =
-                Crop { x: place(2), y: place(3), width: s.crop, height: s.crop, orientation: number(4, 8) as u32 };
+            let noisy = &example.noisy[number(1, VERSIONS as u64) as usize];
+            let place = |k| number(k, u64::from(s.window - side + 1)) as u32;
+            let crop = Crop { x: place(2), y: place(3), width: side, height: side, orientation: number(4, 8) as u32 };
             let part = |t: &DeviceTensor| {
-                let bytes = t.shape.bytes() / u64::from(s.batch);
+                let bytes = t.shape.bytes() / u64::from(batch);
                 t.slice.slice(i * bytes, bytes)
             };
-            let (guides, stats) = (&example.guides, &example.stats);
-            let frame = Frame { radiance: noisy, guides, stats, size: (s.window, s.window) };
+            let size = (s.window, s.window);
+            let frame = Frame { radiance: &noisy.radiance, guides: &noisy.guides, stats: &example.stats, size };
             record_input(&self.gpu, &mut rec, self.preparation.transfer, &frame, crop, &part(input))?;
             self.record_target(&mut rec, example, crop, part(target))?;
         }
@@ -304,16 +372,40 @@ impl Data {
     }
 }
 
+fn copy(gpu: &Gpu, pairs: &[(&Slice, &Slice)]) -> Result<()> {
+    let mut rec = gpu.recorder();
+    for (from, to) in pairs {
+        rec.copy(&from.slice(0, to.bytes()), to);
+    }
+    rec.finish()?.run()?;
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn no_example_is_held_out_and_all_differ() {
+    fn scenes_of_the_parts_are_apart_and_differ() {
         let settings = DataSettings::default();
-        let scenes: Vec<u64> = (0..5000).map(|i| Data::scene_of(&settings, i)).collect();
-        assert!(scenes.iter().all(|n| !family::is_held_out(*n)));
-        let distinct: std::collections::HashSet<_> = scenes.iter().collect();
-        assert!(distinct.len() > 4800, "{}", distinct.len());
+        for (part, least) in [(Part::Training, 4800), (Part::HeldOut, 3800)] {
+            let scenes: Vec<u64> = (0..5000).map(|i| Data::scene_of(&settings, part, i)).collect();
+            assert!(scenes.iter().all(|n| family::is_held_out(*n) == (part == Part::HeldOut)));
+            let distinct: std::collections::HashSet<_> = scenes.iter().collect();
+            assert!(distinct.len() > least, "{part:?}: {}", distinct.len());
+        }
+    }
+
+    #[test]
+    fn steps_have_every_size_with_about_as_many_pixels() {
+        let settings = DataSettings::default();
+        assert_eq!(settings.sizes(), [(8, 128), (2, 256), (1, 384)]);
+        let mut steps = [0; 3];
+        (0..3000).for_each(|step| steps[settings.size_at(step)] += 1);
+        // Binomial with p = 1/3: sigma 26.
+        assert!(steps.iter().all(|n| (900..1100).contains(n)), "{steps:?}");
+        assert_eq!(settings.crops_in(3000), 8 * steps[0] + 2 * steps[1] + steps[2]);
+        let one = DataSettings { larger_crops: vec![], ..settings };
+        assert_eq!((one.sizes(), one.size_at(7), one.crops_in(10)), (vec![(8, 128)], 0, 80));
     }
 }

@@ -1,7 +1,7 @@
 //! A training run: data, steps, schedule, losses.
 
 use super::adam::Adam;
-use super::data::{Data, DataSettings};
+use super::data::{Data, DataSettings, Part};
 use super::schedule::rate;
 use super::step::{Moments, Step};
 use crate::denoise::Preparation;
@@ -44,6 +44,9 @@ pub struct RunState {
     pub init: Option<String>,
     /// Steps done.
     pub step: u64,
+    /// Crops seen.
+    #[serde(default)]
+    pub crops: u64,
     /// Seconds spent so far, those before a resume included.
     pub seconds: f64,
     /// f64 bits of the first losses.
@@ -74,6 +77,7 @@ impl RunState {
             length,
             init,
             step: 0,
+            crops: 0,
             seconds: 0.0,
             first_losses: Vec::new(),
             losses: Vec::new(),
@@ -145,11 +149,11 @@ impl Run {
         moments: Option<&Moments>,
     ) -> Result<Self> {
         let s = &state.data;
-        let size = (s.batch, s.crop, s.crop);
+        let sizes: Vec<_> = s.sizes().into_iter().map(|(n, side)| (n, side, side)).collect();
         let adam = Adam { learning_rate: state.learning_rate, ..Adam::default() };
         let preparation = Preparation::of_architecture(&weights.architecture)?;
-        let data = Data::new(gpu, s, preparation, weights.architecture.alignment() as u32)?;
-        let mut step = Step::new(gpu, family, weights, size, adam)?;
+        let data = Data::new(gpu, s, preparation, weights.architecture.alignment() as u32, Part::Training)?;
+        let mut step = Step::with_sizes(gpu, family, weights, &sizes, adam)?;
         if let Some(moments) = moments {
             step.set_moments(moments)?;
         }
@@ -165,9 +169,10 @@ impl Run {
     pub fn step(&mut self) -> Result<StepRecord> {
         let start = std::time::Instant::now();
         self.prepare(|_, _| {})?;
-        self.data.load(self.state.step, self.step.input(), self.step.target())?;
+        let size = self.state.data.size_at(self.state.step);
+        self.data.load(self.state.step, self.step.input_of(size), self.step.target_of(size))?;
         let learning_rate = self.state.learning_rate * rate(self.state.step, self.state.progress());
-        let (loss, timings) = self.step.run(learning_rate)?;
+        let (loss, timings) = self.step.run_size(size, learning_rate)?;
         if !loss.is_finite() {
             return Err(Error::Gpu(format!(
                 "the loss of step {} is {loss}; resume from the last checkpoint with a smaller --learning-rate",
@@ -175,6 +180,7 @@ impl Run {
             )));
         }
         self.state.add(loss);
+        self.state.crops += u64::from(self.step.input_of(size).shape.n);
         self.state.seconds += start.elapsed().as_secs_f64();
         Ok(StepRecord { step: self.state.step, loss, learning_rate, device_ms: timings.device_ms })
     }

@@ -38,14 +38,25 @@ pub struct Moments {
     pub loss_scale: Option<loss_scale::State>,
 }
 
-/// A network in training at one batch size.
+/// Crops a step, their height and width.
+pub type Size = (u32, u32, u32);
+
+/// The tensors and commands of one size.
+struct Pass {
+    plan: Plan,
+    backward: Backward,
+    target: DeviceTensor,
+    commands: Commands,
+}
+
+/// A network in training at one batch size or at several.
 pub struct Step {
     gpu: Gpu,
     /// The network's parameters.
     pub parameters: Parameters,
-    plan: Plan,
-    backward: Backward,
-    target: DeviceTensor,
+    passes: Vec<Pass>,
+    /// The pass that was run last.
+    last: usize,
     loss: Buffer,
     mean: Buffer,
     mean_square: Buffer,
@@ -56,17 +67,17 @@ pub struct Step {
     /// Not 0 where Adam skips the step.
     skip: Buffer,
     steps_done: u64,
-    commands: Commands,
 }
 
 impl Step {
-    /// Tensors and commands for batches of `n` crops of `h` x `w` pixels.
-    pub fn new(gpu: &Gpu, family: Family, weights: &Weights, size: (u32, u32, u32), adam: Adam) -> Result<Self> {
+    /// Tensors and commands for batches of one size.
+    pub fn new(gpu: &Gpu, family: Family, weights: &Weights, size: Size, adam: Adam) -> Result<Self> {
+        Self::with_sizes(gpu, family, weights, &[size], adam)
+    }
+
+    /// Tensors and commands for batches of several sizes, which train the same parameters.
+    pub fn with_sizes(gpu: &Gpu, family: Family, weights: &Weights, sizes: &[Size], adam: Adam) -> Result<Self> {
         let parameters = Parameters::new(gpu, family, weights, true)?;
-        let plan = Plan::new(gpu, &weights.architecture, family, size, Memory::Kept, Fusion::training(family))?;
-        let backward = Backward::new(gpu, &parameters, &plan)?;
-        let shape = plan.output().shape;
-        let target = DeviceTensor::new(gpu, "target", shape.with_channels(Channels::new(3)))?;
         let loss = gpu.buffer("loss", u64::from(LOSS_INVOCATIONS) * 4)?;
         let like_parameters = |name| gpu.buffer(name, parameters.flat.bytes());
         let (mean, mean_square) = (like_parameters("Adam mean")?, like_parameters("Adam mean square")?);
@@ -79,14 +90,12 @@ impl Step {
             Some(scale) => scale.skip.clone(),
             None => gpu.buffer("skip", 4)?,
         };
-        let commands = gpu.recorder().finish()?;
         let gpu = gpu.clone();
         let mut this = Self {
             gpu,
             parameters,
-            plan,
-            backward,
-            target,
+            passes: Vec::new(),
+            last: 0,
             loss,
             mean,
             mean_square,
@@ -95,41 +104,58 @@ impl Step {
             loss_scale,
             skip,
             steps_done: 0,
-            commands,
         };
-        let mut rec = this.gpu.recorder();
-        this.record(&mut rec)?;
-        this.commands = rec.finish()?;
+        for size in sizes {
+            let pass = this.pass(&weights.architecture, family, *size)?;
+            this.passes.push(pass);
+        }
         Ok(this)
     }
 
-    /// Records one whole step.
+    fn pass(&self, architecture: &Architecture, family: Family, size: Size) -> Result<Pass> {
+        let gpu = &self.gpu;
+        let plan = Plan::new(gpu, architecture, family, size, Memory::Kept, Fusion::training(family))?;
+        let backward = Backward::new(gpu, &self.parameters, &plan)?;
+        let target = DeviceTensor::new(gpu, "target", plan.output().shape.with_channels(Channels::new(3)))?;
+        let mut pass = Pass { plan, backward, target, commands: gpu.recorder().finish()? };
+        let mut rec = gpu.recorder();
+        self.record_pass(&mut rec, &pass)?;
+        pass.commands = rec.finish()?;
+        Ok(pass)
+    }
+
+    /// Records one whole step of the first size.
     pub fn record(&self, rec: &mut Recorder) -> Result<()> {
+        self.record_pass(rec, &self.passes[0])
+    }
+
+    fn record_pass(&self, rec: &mut Recorder, pass: &Pass) -> Result<()> {
+        let Pass { plan, backward, target, .. } = pass;
         let (gpu, parameters) = (&self.gpu, &self.parameters);
-        self.plan.record(rec, parameters)?;
-        record_loss(gpu, rec, self.plan.output(), &self.target, self.backward.output_gradient(), &self.loss)?;
+        plan.record(rec, parameters)?;
+        record_loss(gpu, rec, plan.output(), target, backward.output_gradient(), &self.loss)?;
         if let Some(scale) = &self.loss_scale {
-            scale.scale(rec, self.backward.output_gradient())?;
+            scale.scale(rec, backward.output_gradient())?;
         }
-        self.backward.record(rec, parameters, &self.plan)?;
+        backward.record(rec, parameters, plan)?;
         if let Some(scale) = &self.loss_scale {
-            scale.unscale(rec, &self.backward.flat)?;
+            scale.unscale(rec, &backward.flat)?;
         }
-        self.record_adam(rec)?;
+        self.record_adam(rec, &backward.flat)?;
         if let Some(scale) = &self.loss_scale {
             scale.update(rec)?;
         }
         parameters.record_pack(rec)
     }
 
-    fn record_adam(&self, rec: &mut Recorder) -> Result<()> {
+    fn record_adam(&self, rec: &mut Recorder, gradient: &Buffer) -> Result<()> {
         let (gpu, parameters) = (&self.gpu, &self.parameters);
         let kernel = gpu.kernel::<shaders::adam::Shader>(&Default::default())?;
         let count = (parameters.padded_len() / 4) as u32;
         let adam = self.adam;
         let push = AdamPush { count, beta1: adam.beta1 as f32, beta2: adam.beta2 as f32, epsilon: adam.epsilon as f32 };
         let bind = shaders::adam::Bind {
-            gradient: self.backward.flat.all(),
+            gradient: gradient.all(),
             step_factors: self.factors.all(),
             parameter: parameters.flat.all(),
             first_moment: self.mean.all(),
@@ -140,28 +166,40 @@ impl Step {
         Ok(())
     }
 
-    /// The forward pass, whose values are all kept.
+    /// The forward pass of the first size, whose values are all kept.
     #[must_use]
     pub fn plan(&self) -> &Plan {
-        &self.plan
+        &self.passes[0].plan
     }
 
-    /// Where the batch's network inputs go.
+    /// Where the network inputs of a batch of the first size go.
     #[must_use]
     pub fn input(&self) -> &DeviceTensor {
-        self.plan.input()
+        self.input_of(0)
     }
 
-    /// Where the batch's targets go, in the space of the network's output.
+    /// Where the targets of a batch of the first size go, in the space of the network's output.
     #[must_use]
     pub fn target(&self) -> &DeviceTensor {
-        &self.target
+        self.target_of(0)
     }
 
-    /// The recorded operations, for the hazard checker.
+    /// Where the network inputs of a batch of size `i` go.
+    #[must_use]
+    pub fn input_of(&self, i: usize) -> &DeviceTensor {
+        self.passes[i].plan.input()
+    }
+
+    /// Where the targets of a batch of size `i` go.
+    #[must_use]
+    pub fn target_of(&self, i: usize) -> &DeviceTensor {
+        &self.passes[i].target
+    }
+
+    /// The recorded operations of the first size, for the hazard checker.
     #[must_use]
     pub fn commands(&self) -> &Commands {
-        &self.commands
+        &self.passes[0].commands
     }
 
     /// Steps done, over all runs.
@@ -170,21 +208,27 @@ impl Step {
         self.steps_done
     }
 
-    /// Takes one step at a learning rate; gives the loss before it, a mean over all values.
+    /// Takes one step at a learning rate with a batch of the first size; gives the loss before it, a mean over all values.
     pub fn run(&mut self, learning_rate: f64) -> Result<(f64, Timings)> {
+        self.run_size(0, learning_rate)
+    }
+
+    /// The same with a batch of size `i`.
+    pub fn run_size(&mut self, i: usize, learning_rate: f64) -> Result<(f64, Timings)> {
         let (c1, c2) = self.adam.corrections(self.steps_done + 1);
         self.gpu.upload(&self.factors.all(), &[(learning_rate / c1) as f32, (1.0 / c2.sqrt()) as f32])?;
-        let timings = self.commands.run()?;
+        let timings = self.passes[i].commands.run()?;
+        self.last = i;
         self.steps_done += 1;
         let parts: Vec<f32> = self.gpu.download(&self.loss.all())?;
-        let values =
-            u64::from(self.target.shape.n) * u64::from(self.target.shape.h) * u64::from(self.target.shape.w) * 3;
+        let shape = self.passes[i].target.shape;
+        let values = u64::from(shape.n) * u64::from(shape.h) * u64::from(shape.w) * 3;
         Ok((parts.iter().map(|p| f64::from(*p)).sum::<f64>() / values as f64, timings))
     }
 
     /// The gradient of the last step, in the order of the flat parameter vector.
     pub fn gradient(&self) -> Result<Vec<f32>> {
-        Ok(self.parameters.unpad(&self.gpu.download::<f32>(&self.backward.flat.all())?))
+        Ok(self.parameters.unpad(&self.gpu.download::<f32>(&self.passes[self.last].backward.flat.all())?))
     }
 
     /// What Adam keeps.

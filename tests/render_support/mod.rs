@@ -57,6 +57,7 @@ pub fn sphere(center: [f64; 3], radius: f64, albedo: f64, radiance: f64) -> Shap
         name: "sphere".into(),
         geometry: Geometry::Sphere { center: center.into(), radius, inward: false },
         albedo: DVec3::splat(albedo),
+        checker: None,
         radiance: DVec3::splat(radiance),
     }
 }

@@ -6,9 +6,9 @@ use super::transform::swap_camera_convention;
 use super::xml::{self, Element, Source};
 use crate::scene::math::sin_cos_degrees;
 use crate::scene::validate::{SHEAR_TOLERANCE, check_albedo, check_radiance};
-use crate::scene::{Camera, Geometry, Loaded, Scene, Shape};
+use crate::scene::{Camera, Checker, Geometry, Loaded, Scene, Shape};
 use crate::{Error, Result};
-use glam::{DMat3, DMat4, DVec3};
+use glam::{DMat3, DMat4, DVec2, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 
 const TOP_LEVEL: &str = "default, integrator, sensor, bsdf, shape";
@@ -17,8 +17,15 @@ const DEFAULT_FILM: (u32, u32) = (768, 576);
 /// Mitsuba's reflectance where the file gives none.
 const DEFAULT_REFLECTANCE: f64 = 0.5;
 
-/// Reflectances by material id.
-type Materials = BTreeMap<String, DVec3>;
+/// A diffuse material: its reflectance and, where it has two, the checkerboard.
+#[derive(Clone, Copy)]
+struct Material {
+    albedo: DVec3,
+    checker: Option<Checker>,
+}
+
+/// Materials by id.
+type Materials = BTreeMap<String, Material>;
 
 pub fn load(text: &str, file: &str, options: &Options) -> Result<Loaded> {
     let document = xml::parse(text, file)?;
@@ -103,19 +110,46 @@ fn check_root(root: Element) -> Result<()> {
 fn materials(root: Element) -> Result<Materials> {
     let mut materials = Materials::new();
     for element in root.descendants().filter(|element| element.tag() == "bsdf") {
-        let reflectance = bsdf(element)?;
+        let material = bsdf(element)?;
         if let Some(id) = element.attribute("id")? {
-            materials.insert(id, reflectance);
+            materials.insert(id, material);
         }
     }
     Ok(materials)
 }
 
-fn bsdf(element: Element) -> Result<DVec3> {
+fn bsdf(element: Element) -> Result<Material> {
     let mut object = Object::new(element, &["diffuse"])?;
     let reflectance = object.color("reflectance", check_albedo)?;
+    let texture = object.take_one_nested("texture")?;
     object.finish()?;
-    Ok(reflectance.unwrap_or(DVec3::splat(DEFAULT_REFLECTANCE)))
+    match texture {
+        Some(texture) if reflectance.is_some() => {
+            Err(texture.error(format!("{} has a reflectance beside its texture", element.words())))
+        }
+        Some(texture) => checkerboard(texture),
+        None => Ok(Material { albedo: reflectance.unwrap_or(DVec3::splat(DEFAULT_REFLECTANCE)), checker: None }),
+    }
+}
+
+/// Mitsuba's defaults are 0.4 and 0.2, one repeat.
+fn checkerboard(element: Element) -> Result<Material> {
+    if element.required("name")? != "reflectance" {
+        return Err(element.error(format!("{} must be named reflectance", element.words())));
+    }
+    let mut object = Object::new(element, &["checkerboard"])?;
+    let albedo = object.color("color0", check_albedo)?.unwrap_or(DVec3::splat(0.4));
+    let second = object.color("color1", check_albedo)?.unwrap_or(DVec3::splat(0.2));
+    let to_uv = object.transform("to_uv")?.unwrap_or(DMat4::IDENTITY);
+    object.finish()?;
+    let off_diagonal = [to_uv.x_axis.y, to_uv.y_axis.x, to_uv.x_axis.z, to_uv.y_axis.z, to_uv.z_axis.x, to_uv.z_axis.y];
+    if off_diagonal.iter().any(|v| *v != 0.0) {
+        return Err(element.error("to_uv of a checkerboard may scale and translate; rotations are not supported"));
+    }
+    let repeats = DVec2::new(to_uv.x_axis.x, to_uv.y_axis.y);
+    let checker = Checker { albedo: second, repeats, offset: to_uv.w_axis.truncate().truncate() };
+    checker.validate().map_err(|error| element.error(error))?;
+    Ok(Material { albedo, checker: Some(checker) })
 }
 
 fn emitter(element: Element) -> Result<DVec3> {
@@ -127,34 +161,38 @@ fn emitter(element: Element) -> Result<DVec3> {
 
 fn shape(element: Element, name: String, materials: &Materials) -> Result<Shape> {
     let mut object = Object::new(element, &["sphere", "rectangle"])?;
-    let mut albedos = Vec::new();
+    let mut used = Vec::new();
     for nested in object.take_nested("bsdf") {
-        albedos.push(bsdf(nested)?);
+        used.push(bsdf(nested)?);
     }
     for reference in object.take_nested("ref") {
         reference.only_attributes(&["id", "name"])?;
         reference.no_children()?;
         let id = reference.required("id")?;
-        let albedo = materials.get(&id).copied();
-        albedos.push(albedo.ok_or_else(|| reference.error(format!("no bsdf has the id '{id}'")))?);
+        let material = materials.get(&id).copied();
+        used.push(material.ok_or_else(|| reference.error(format!("no bsdf has the id '{id}'")))?);
     }
-    if albedos.len() > 1 {
-        return Err(element.error(format!("{} has {} materials; it can have one", element.words(), albedos.len())));
+    if used.len() > 1 {
+        return Err(element.error(format!("{} has {} materials; it can have one", element.words(), used.len())));
     }
+    let material = used.pop().unwrap_or(Material { albedo: DVec3::splat(DEFAULT_REFLECTANCE), checker: None });
+    let textured = material.checker.is_some();
     let radiance = object.take_one_nested("emitter")?.map(emitter).transpose()?;
-    let geometry = if object.kind() == "sphere" { sphere(&mut object)? } else { rectangle(&mut object)? };
+    let (geometry, swapped) =
+        if object.kind() == "sphere" { (sphere(&mut object, textured)?, false) } else { rectangle(&mut object)? };
     object.finish()?;
     let shape = Shape {
         name: element.attribute("id")?.unwrap_or(name),
         geometry,
-        albedo: albedos.pop().unwrap_or(DVec3::splat(DEFAULT_REFLECTANCE)),
+        albedo: material.albedo,
+        checker: material.checker.map(|checker| if swapped { checker.swapped() } else { checker }),
         radiance: radiance.unwrap_or(DVec3::ZERO),
     };
     shape.validate().map_err(|error| element.error(format!("{}: {error}", element.words())))?;
     Ok(shape)
 }
 
-fn sphere(object: &mut Object) -> Result<Geometry> {
+fn sphere(object: &mut Object, textured: bool) -> Result<Geometry> {
     let element = object.element;
     let center = object.point("center")?.unwrap_or(DVec3::ZERO);
     let radius = object.float("radius")?.unwrap_or(1.0);
@@ -169,10 +207,15 @@ fn sphere(object: &mut Object) -> Result<Geometry> {
     if axes.determinant() < 0.0 {
         return Err(element.error("to_world of a sphere mirrors it, which turns it inside out: not supported"));
     }
+    let straight = (axes * (1.0 / scale)).abs_diff_eq(DMat3::IDENTITY, SHEAR_TOLERANCE);
+    if textured && !straight {
+        return Err(element.error("to_world rotates a sphere with a checkerboard: not supported"));
+    }
     Ok(Geometry::Sphere { center: to_world.transform_point3(center), radius: scale * radius, inward })
 }
 
-fn rectangle(object: &mut Object) -> Result<Geometry> {
+/// A rectangle, and whether its u and v are those of the file, swapped.
+fn rectangle(object: &mut Object) -> Result<(Geometry, bool)> {
     let element = object.element;
     let to_world = object.transform("to_world")?.unwrap_or(DMat4::IDENTITY);
     let to_world = crate::scene::camera::without_negative_zeros(to_world);
@@ -183,8 +226,9 @@ fn rectangle(object: &mut Object) -> Result<Geometry> {
     }
     let [center, half_u, half_v] = [to_world.w_axis, to_world.x_axis, to_world.y_axis].map(|v| v.truncate());
     // The normal is the image of +z; where the matrix mirrors, that is -(u x v).
-    let (half_u, half_v) = if flip != (determinant < 0.0) { (half_v, half_u) } else { (half_u, half_v) };
-    Ok(Geometry::Rectangle { center, half_u, half_v })
+    let swapped = flip != (determinant < 0.0);
+    let (half_u, half_v) = if swapped { (half_v, half_u) } else { (half_u, half_v) };
+    Ok((Geometry::Rectangle { center, half_u, half_v }, swapped))
 }
 
 /// The camera and the samples per pixel.

@@ -1,7 +1,7 @@
 //! A [`Scene`] as Mitsuba 3 XML.
 
 use super::transform::swap_camera_convention;
-use crate::scene::{Geometry, Scene, Shape};
+use crate::scene::{Checker, Geometry, Scene, Shape};
 use glam::{DMat4, DVec3};
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -60,11 +60,28 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
             line(xml, &format!("    {}", to_world(matrix)));
         }
     }
-    line(xml, &format!("    <bsdf type=\"diffuse\">{}</bsdf>", rgb("reflectance", shape.albedo)));
+    match shape.checker {
+        None => line(xml, &format!("    <bsdf type=\"diffuse\">{}</bsdf>", rgb("reflectance", shape.albedo))),
+        Some(checker) => write_checkerboard(xml, shape.albedo, checker),
+    }
     if shape.radiance != DVec3::ZERO {
         line(xml, &format!("    <emitter type=\"area\">{}</emitter>", rgb("radiance", shape.radiance)));
     }
     line(xml, "  </shape>");
+}
+
+fn write_checkerboard(xml: &mut String, albedo: DVec3, checker: Checker) {
+    let Checker { albedo: second, repeats, offset } = checker;
+    line(xml, "    <bsdf type=\"diffuse\"><texture type=\"checkerboard\" name=\"reflectance\">");
+    line(xml, &format!("      {}{}", rgb("color0", albedo), rgb("color1", second)));
+    line(
+        xml,
+        &format!(
+            "      <transform name=\"to_uv\"><scale x=\"{:?}\" y=\"{:?}\"/><translate x=\"{:?}\" y=\"{:?}\"/></transform>",
+            repeats.x, repeats.y, offset.x, offset.y
+        ),
+    );
+    line(xml, "    </texture></bsdf>");
 }
 
 /// A name as an XML id that no earlier shape has.
