@@ -2,6 +2,7 @@
 
 mod bench;
 mod compare;
+mod dataset;
 mod denoise;
 mod device;
 mod devices;
@@ -40,6 +41,7 @@ enum Command {
     Denoise(denoise::Args),
     Compare(compare::Args),
     Scene(scene::Args),
+    Dataset(dataset::Args),
     Train(Box<train::Args>),
     Bench(bench::Args),
     Weights(weights::Args),
@@ -53,6 +55,7 @@ pub fn run(cli: &Cli) -> Result<u8> {
         Command::Denoise(args) => denoise::run(args),
         Command::Compare(args) => compare::run(args),
         Command::Scene(args) => scene::run(args),
+        Command::Dataset(args) => dataset::run(args),
         Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Weights(args) => weights::run(args),

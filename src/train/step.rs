@@ -47,6 +47,8 @@ struct Pass {
     backward: Backward,
     target: DeviceTensor,
     commands: Commands,
+    /// The forward pass alone.
+    forward: Commands,
 }
 
 /// A network in training at one batch size or at several.
@@ -117,7 +119,10 @@ impl Step {
         let plan = Plan::new(gpu, architecture, family, size, Memory::Kept, Fusion::training(family))?;
         let backward = Backward::new(gpu, &self.parameters, &plan)?;
         let target = DeviceTensor::new(gpu, "target", plan.output().shape.with_channels(Channels::new(3)))?;
-        let mut pass = Pass { plan, backward, target, commands: gpu.recorder().finish()? };
+        let mut rec = gpu.recorder();
+        plan.record(&mut rec, &self.parameters)?;
+        let forward = rec.finish()?;
+        let mut pass = Pass { plan, backward, target, commands: gpu.recorder().finish()?, forward };
         let mut rec = gpu.recorder();
         self.record_pass(&mut rec, &pass)?;
         pass.commands = rec.finish()?;
@@ -224,6 +229,11 @@ impl Step {
         let shape = self.passes[i].target.shape;
         let values = u64::from(shape.n) * u64::from(shape.h) * u64::from(shape.w) * 3;
         Ok((parts.iter().map(|p| f64::from(*p)).sum::<f64>() / values as f64, timings))
+    }
+
+    /// Computes the network's output for a batch of the first size; parameters and moments stay.
+    pub fn forward(&mut self) -> Result<Timings> {
+        self.passes[0].forward.run()
     }
 
     /// The gradient of the last step, in the order of the flat parameter vector.
