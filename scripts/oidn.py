@@ -3,11 +3,15 @@
 
   python3 -m pip install pyoidn numpy safetensors
   scripts/oidn.py [--limpid target/release/limpid] [--weights base.safetensors] [--scene spheres:90000] [--size 768x512] [--keep DIR]
+  scripts/oidn.py --filter IN.exr OUT.exr
 
 limpid renders a noisy frame (radiance, albedo, world normals) and reconstructs it by `limpid denoise --weights`; Open Image Denoise
 filters the same channels (hdr, CPU device) with the same weights. `limpid weights convert` makes them a TZA file, in fp16 as Open
 Image Denoise 2 wants it, and back, so that both have the rounded ones. Without --weights they are random: the picture is then no
-good one, but as valid. Prints the mean of |a - b| / (|a| + |b| + 0.01), the measure of Open
+good one, but as valid. With --filter it is Open Image Denoise alone, with its own weights at its highest quality:
+R, G, B of OUT.exr are the radiance of IN.exr filtered, but where the albedo is 0 (lights, nothing) as it was.
+
+Prints the mean of |a - b| / (|a| + |b| + 0.01), the measure of Open
 Image Denoise's own tests, over the pixels that limpid reconstructs (it keeps the others, whose radiance is exact), and fails above
 0.003."""
 
@@ -101,8 +105,42 @@ def read_exr(path, names):
     return np.ascontiguousarray(np.stack([image[:, channels.index(name)] for name in names], axis=-1))
 
 
-def filtered(images, tza):
-    """What Open Image Denoise makes of the images with the weights in the bytes of a TZA file."""
+def write_exr(path, pixels):
+    """R, G, B of (height, width, 3) as an uncompressed scanline EXR with 32-bit floats."""
+    import struct
+
+    height, width, _ = pixels.shape
+    channels = b"".join(name + struct.pack("<BiB3xii", 0, 2, 0, 1, 1) for name in (b"B", b"G", b"R")) + b"\0"
+    box = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    attributes = [
+        (b"channels", b"chlist", channels),
+        (b"compression", b"compression", b"\0"),
+        (b"dataWindow", b"box2i", box),
+        (b"displayWindow", b"box2i", box),
+        (b"lineOrder", b"lineOrder", b"\0"),
+        (b"pixelAspectRatio", b"float", struct.pack("<f", 1)),
+        (b"screenWindowCenter", b"v2f", struct.pack("<2f", 0, 0)),
+        (b"screenWindowWidth", b"float", struct.pack("<f", 1)),
+    ]
+    header = struct.pack("<ii", 20000630, 2)
+    header += b"".join(b"\0".join([name, kind, struct.pack("<i", len(v)) + v]) for name, kind, v in attributes) + b"\0"
+    row = 8 + width * 12
+    offsets = b"".join(struct.pack("<Q", len(header) + 8 * height + row * y) for y in range(height))
+    planar = np.ascontiguousarray(pixels[..., ::-1].transpose(0, 2, 1), dtype="<f4")
+    rows = b"".join(struct.pack("<ii", y, width * 12) + planar[y].tobytes() for y in range(height))
+    Path(path).write_bytes(header + offsets + rows)
+
+
+def filter_file(source, target):
+    """Open Image Denoise by itself."""
+    images = {name: read_exr(source, names) for name, names in {**IMAGES, "color": ["R", "G", "B"]}.items()}
+    result, exact = filtered(images), images["albedo"].sum(axis=-1) == 0
+    result[exact] = images["color"][exact]
+    write_exr(target, result)
+
+
+def filtered(images, tza=None):
+    """What Open Image Denoise makes of the images, with its own weights or those in the bytes of a TZA file."""
     import ctypes
 
     import pyoidn
@@ -117,13 +155,15 @@ def filtered(images, tza):
             for name, pixels in {**images, "output": result}.items():
                 rt.set_image(name, pixels, pyoidn.OIDN_FORMAT_FLOAT3)
             rt.set_bool("hdr", True)
-            set_data = ctypes.CDLL(str(shared)).oidnSetSharedFilterData
-            set_data.restype, set_data.argtypes = None, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p, ctypes.c_size_t]
-            from pyoidn.capi import oidn_ffi
+            rt.set_quality(pyoidn.OIDN_QUALITY_HIGH)
+            if tza:
+                set_data = ctypes.CDLL(str(shared)).oidnSetSharedFilterData
+                set_data.restype, set_data.argtypes = None, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p, ctypes.c_size_t]
+                from pyoidn.capi import oidn_ffi
 
-            handle = int(oidn_ffi.cast("uintptr_t", rt._filter))
-            blob = ctypes.create_string_buffer(tza, len(tza))
-            set_data(handle, b"weights", blob, len(tza))
+                handle = int(oidn_ffi.cast("uintptr_t", rt._filter))
+                blob = ctypes.create_string_buffer(tza, len(tza))
+                set_data(handle, b"weights", blob, len(tza))
             rt.commit()
             rt.execute()
         error = device.get_error()
@@ -140,7 +180,10 @@ def main():
     parser.add_argument("--size", default="768x512")
     parser.add_argument("--spp", default="16")
     parser.add_argument("--keep", help="folder for the pictures")
+    parser.add_argument("--filter", nargs=2, metavar=("IN.exr", "OUT.exr"))
     args = parser.parse_args()
+    if args.filter:
+        return filter_file(*args.filter)
     limpid = lambda *words: subprocess.run([args.limpid, *map(str, words)], check=True, stdout=subprocess.PIPE).stdout
     with tempfile.TemporaryDirectory() as temporary:
         directory = Path(args.keep or temporary)

@@ -3,6 +3,14 @@
 //! MAE01 and relMSE are over linear values; PSNR, SSIM and FLIP over display values, [`srgb_encode`] of the values
 //! clamped to [0, 1]. FLIP sees them in 8 bits, as its implementation (NVIDIA's, by the crate `nv-flip`) takes them.
 
+mod defects;
+mod halves;
+mod seams;
+
+pub use defects::{Defects, defects};
+pub use halves::{ReferenceNoise, compare_halves, mean_reference, reference_noise};
+pub use seams::seam_energy;
+
 use crate::image::png::srgb_encode;
 use crate::image::{Image, Rgb};
 use crate::{Error, Result};
@@ -22,7 +30,17 @@ Of the display values s(x) = sRGB(clamp(x,0,1)):
   flip    mean of the FLIP error map (LDR, 67.02 pixels per degree, 8-bit display values)
 'surface' is each figure over the pixels whose first hit is neither light nor nothing, where the images say which: depth
 channel Z > 0 and albedo.R + albedo.G + albedo.B > 0 (lights have albedo 0), from the reference if it has these channels,
-else from the image. ssim and flip are computed on the whole image and their maps averaged over those pixels.";
+else from the image. ssim and flip are computed on the whole image and their maps averaged over those pixels.
+With a second reference (--second), independent of the first, r is the mean of the two, but
+  relmse  mean (a-r1) (a-r2) / (r^2 + 0.01), to which the noise of r1 and r2 adds nothing but its square
+  noise   that of r: half the mae01 of r1 against r2, and a quarter of mean (r1-r2)^2 / (r^2 + 0.01)
+With --seams N, of the error e = clamp(a,0,1) - clamp(r,0,1), in which the content's own edges cancel:
+  seam_energy  mean |e(p) - e(q)| over horizontal and vertical neighbours p, q in two chunks of NxN pixels (pairs that
+               straddle a multiple of N), by its mean over all other neighbours: 1 = no seams; null where e is flat
+With --defects, Y being the linear luma and m the largest of the 3x3 medians of Y(r) at the 3x3 pixels about a pixel:
+  fireflies    pixels with Y(a) > 10 max(m, Y(r), 0.01)
+  black        pixels with R, G and B of a below 0.00015 (0 as 8-bit display values) where Y(r) > 0.01
+  non_finite   pixels with a value that is not finite; where there are any, the other figures are null";
 
 /// FLIP's default viewing condition: 0.7 m from a 0.7 m wide 3840-pixel monitor.
 pub const FLIP_PIXELS_PER_DEGREE: f32 = nv_flip::DEFAULT_PIXELS_PER_DEGREE;
@@ -67,18 +85,29 @@ pub fn compare(image: &Image, reference: &Image) -> Result<Comparison> {
 
 /// Compares the channels with these prefixes (see [`Image::rgb`]), e.g. `noisy` of an image with none of its reference.
 pub fn compare_channels(image: &Image, prefix: &str, reference: &Image, ref_prefix: &str) -> Result<Comparison> {
+    let mask = mask_of(image, reference)?;
+    evaluate(image.rgb(prefix)?, reference.rgb(ref_prefix)?, image.width, image.height, mask.as_deref())
+}
+
+/// An error, about `what`, where two images differ in size.
+pub fn same_size(what: &str, image: &Image, reference: &Image) -> Result<()> {
     let [a, r] = [image, reference].map(|image| (image.width, image.height));
-    if a != r {
-        return Err(Error::input(format!(
-            "the image has {}x{} pixels, its reference {}x{}; they must be of one size",
-            a.0, a.1, r.0, r.1
-        )));
+    if a == r {
+        return Ok(());
     }
-    let mask = match surface_mask(reference)? {
-        Some(mask) => Some(mask),
-        None => surface_mask(image)?,
-    };
-    evaluate(image.rgb(prefix)?, reference.rgb(ref_prefix)?, a.0, a.1, mask.as_deref())
+    Err(Error::input(format!(
+        "{what} has {}x{} pixels, its reference {}x{}; they must be of one size",
+        a.0, a.1, r.0, r.1
+    )))
+}
+
+/// The surface pixels, as the reference tells them, else the image.
+fn mask_of(image: &Image, reference: &Image) -> Result<Option<Vec<bool>>> {
+    same_size("the image", image, reference)?;
+    match surface_mask(reference)? {
+        Some(mask) => Ok(Some(mask)),
+        None => surface_mask(image),
+    }
 }
 
 /// The pixels whose first hit is a surface that is no light: `Z > 0` and a positive sum of `albedo`. None where the
@@ -99,14 +128,19 @@ pub fn evaluate(a: Rgb, r: Rgb, width: u32, height: u32, surface: Option<&[bool]
     if let Some(mask) = surface.filter(|mask| mask.len() != count) {
         return Err(Error::input(format!("the surface mask has {} values; {count} are needed", mask.len())));
     }
-    let maps = Maps::new(a, r, width, height);
+    comparison(&Maps::new(a, r, width, height), surface)
+}
+
+fn comparison(maps: &Maps, surface: Option<&[bool]>) -> Result<Comparison> {
     let all = maps.mean(|_| true).ok_or_else(|| Error::input("an image without pixels has no figures"))?;
     Ok(Comparison { all, surface: surface.and_then(|mask| maps.mean(|i| mask[i])) })
 }
 
-fn check(what: &str, planes: Rgb, width: u32, height: u32) -> Result<()> {
+const CHANNELS: [&str; 3] = ["red", "green", "blue"];
+
+fn check_lengths(what: &str, planes: Rgb, width: u32, height: u32) -> Result<()> {
     crate::image::check_size(width, height)?;
-    for (plane, name) in planes.into_iter().zip(["red", "green", "blue"]) {
+    for (plane, name) in planes.into_iter().zip(CHANNELS) {
         if plane.len() != width as usize * height as usize {
             return Err(Error::input(format!(
                 "the {what} has {} {name} values; {width}x{height} pixels need {}",
@@ -114,6 +148,13 @@ fn check(what: &str, planes: Rgb, width: u32, height: u32) -> Result<()> {
                 width as usize * height as usize
             )));
         }
+    }
+    Ok(())
+}
+
+fn check(what: &str, planes: Rgb, width: u32, height: u32) -> Result<()> {
+    check_lengths(what, planes, width, height)?;
+    for (plane, name) in planes.into_iter().zip(CHANNELS) {
         if let Some(i) = plane.iter().position(|v| !v.is_finite()) {
             let (x, y) = (i % width as usize, i / width as usize);
             return Err(Error::input(format!(
@@ -184,8 +225,11 @@ fn flip_image([r, g, b]: &[Vec<f32>; 3], width: u32, height: u32) -> nv_flip::Fl
 }
 
 fn luma(display: &[Vec<f32>; 3]) -> Vec<f64> {
-    let luma = |i: usize| (0..3).map(|c| LUMA[c] * f64::from(display[c][i])).sum();
-    (0..display[0].len()).map(luma).collect()
+    (0..display[0].len()).map(|i| luma_of([0, 1, 2].map(|c| f64::from(display[c][i])))).collect()
+}
+
+fn luma_of(rgb: [f64; 3]) -> f64 {
+    (0..3).map(|c| LUMA[c] * rgb[c]).sum()
 }
 
 /// The map of the structural similarity.

@@ -117,8 +117,47 @@ fn comparisons() {
         assert!(help.contains(&format!("  {figure}")), "{figure}: {help}");
     }
     exr::write(&Image { width: 2, ..image_of_one(2) }, cli.path("s.exr")).unwrap();
+    for (flag, parts) in [("--second", ["second reference", "40x40"]), ("--defects", ["40x40", "2x1"])] {
+        let args: &[&str] =
+            if flag == "--second" { &["a.exr", "r.exr", flag, "s.exr"] } else { &["a.exr", "s.exr", flag] };
+        cli.fails(&[&["compare"], args].concat(), 2, &parts);
+    }
+    cli.fails(&["compare", "a.exr", "r.exr", "--seams", "40"], 2, &["--seams 40", "40x40", "2 to 39"]);
+    cli.fails(&["compare", "a.exr", "r.exr", "--seams", "1"], 2, &["--seams", "2.."]);
     cli.fails(&["compare", "a.exr", "s.exr"], 2, &["40x40", "2x1"]);
     cli.fails(&["compare", "a.exr", "none.exr"], 2, &["none.exr"]);
+}
+
+#[test]
+fn comparisons_of_suites() {
+    let cli = Cli::new();
+    for (name, seed) in [("a", "0"), ("r", "1"), ("s", "2")] {
+        cli.render(&["-o", &format!("{name}.exr"), "--size", "40x30", "--spp", "4", "--seed", seed]);
+    }
+    let args = ["compare", "a.exr", "r.exr", "--second", "s.exr", "--seams", "16", "--defects"];
+    let report = cli.json(&[&args[..], &["--json"]].concat());
+    let [a, r, s] = ["a.exr", "r.exr", "s.exr"].map(|name| cli.image(name));
+    let expected = limpid::metrics::compare_halves(&a, "", [&r, &s]).unwrap();
+    assert_eq!((&report["all"], &report["surface"]), (&printed(&expected.all), &printed(&expected.surface)));
+    let noise = limpid::metrics::reference_noise([&r, &s]).unwrap();
+    assert_eq!((&report["noise"], &report["second"]), (&printed(&noise), &"s.exr".into()));
+    let mean = limpid::metrics::mean_reference([&r, &s]).unwrap();
+    let energy = limpid::metrics::seam_energy(a.rgb("").unwrap(), mean.rgb("").unwrap(), 40, 16).unwrap();
+    assert_eq!((&report["seam_energy"], &report["chunk"]), (&printed(&energy), &16.into()));
+    assert_eq!(report["defects"]["non_finite"], 0);
+    let text = cli.ok(&args);
+    for part in [format!("{:.6}", noise.mae01), format!("seam energy: {energy:.4}"), "fireflies: ".into()] {
+        assert!(text.contains(&part), "{part}: {text}");
+    }
+    // A pixel that is no number is counted, and leaves no figures; without --defects it is an error.
+    let mut broken = a;
+    broken.channels.get_mut("G").unwrap()[7] = f32::NAN;
+    exr::write(&broken, cli.path("nan.exr")).unwrap();
+    let report = cli.json(&["compare", "nan.exr", "r.exr", "--seams", "16", "--defects", "--json"]);
+    assert_eq!(report["defects"]["non_finite"], 1);
+    assert!(report["all"].is_null() && report["seam_energy"].is_null(), "{report}");
+    assert!(cli.ok(&["compare", "nan.exr", "r.exr", "--defects"]).contains("not finite: 1"));
+    cli.fails(&["compare", "nan.exr", "r.exr"], 2, &["the image", "(7, 0)"]);
 }
 
 /// Numbers as they are after printing and reading.

@@ -76,8 +76,53 @@ fn demands_that_cannot_be_met() {
     fails(&["--max-memory", "0"], &["--max-memory", "1.."]);
     fails(&["--max-memory", "1"], &["531x61", "1 MiB", "needs --max-memory"]);
     fails(&["--tile", "32", "--max-memory", "2"], &["--tile 32", "--max-memory 2", "would do"]);
+    fails(&["--overlap", "8"], &["--tile"]);
+    fails(&["--tile", "32", "--blend"], &["--overlap"]);
+    fails(&["--blend"], &["--tile"]);
+    fails(&["--tile", "32", "--overlap", "8", "--max-memory", "1000"], &["--overlap", "--max-memory"]);
+    fails(&["--tile", "32", "--overlap", "16385"], &["--overlap", "16384"]);
+    fails(&["--tile", "32", "--overlap", "0", "--blend"], &["--blend", "--overlap 32"]);
+    fails(&["--tile", "100", "--overlap", "8"], &["multiple of 32"]);
+    cli.fails(&["render", "--tile", "32", "--overlap", "8"], 2, &["--denoise"]);
     cli.fails(&["render", "--tile", "32"], 2, &["--denoise"]);
     cli.fails(&["render", "--max-memory", "32"], 2, &["--denoise"]);
+}
+
+/// An overlap that was given: approximate, which the report says, or exact where it is large enough.
+#[test]
+fn overlaps() {
+    let cli = Cli::new();
+    rendered(&cli);
+    let denoise = |output: &str, flags: &[&str]| {
+        let common = ["denoise", "noisy.exr", "-o", output, "--validation", "--tile", "32", "--overlap"];
+        cli.ok(&[&common[..], flags, &WEIGHTS].concat())
+    };
+    let report = |output: &str, flags: &[&str]| -> serde_json::Value {
+        serde_json::from_str(&denoise(output, &[flags, &["--json"]].concat())).expect("JSON")
+    };
+    let chunks = report("chunks.exr", &["0"]);
+    let (tiling, settings) = (&chunks["tiling"], &chunks["settings"]);
+    assert_eq!((&tiling["tiles"], &tiling["window"][0]), (&34.into(), &32.into()));
+    assert_eq!((&tiling["exact"], &tiling["blend"], &tiling["overlap"]), (&false.into(), &false.into(), &0.into()));
+    assert_eq!((&settings["overlap"], &settings["blend"]), (&0.into(), &false.into()));
+    assert_eq!(tiling["device_bytes"], chunks["peak_device_bytes"]);
+    let needed = tiling["exact_overlap"].as_u64().expect("a number");
+    assert!(cli.bytes("chunks.exr") != cli.bytes("whole.exr"), "no seams");
+
+    let blended = report("blended.exr", &["8", "--blend"]);
+    assert_eq!((&blended["tiling"]["blend"], &blended["tiling"]["window"][0]), (&true.into(), &64.into()));
+    assert!(cli.bytes("blended.exr") != cli.bytes("whole.exr"));
+    let text = denoise("blended.exr", &["8", "--blend"]);
+    assert!(text.contains("approximate") && text.contains(&needed.to_string()), "{text}");
+
+    let exact = report("exact.exr", &[&needed.to_string()]);
+    assert_eq!(exact["tiling"]["exact"], true);
+    same(&cli, "exact", "whole");
+
+    let args = ["spheres:5", "--size", "531x61", "--spp", "1", "--denoise", "--tile", "32", "--overlap", "0"];
+    let rendered = cli.report(&[&args[..], &["-o", "render.exr"], &WEIGHTS].concat());
+    assert_eq!((&rendered["tiling"]["exact"], &rendered["settings"]["overlap"]), (&false.into(), &0.into()));
+    same(&cli, "render", "chunks");
 }
 
 /// A network that reads albedo and world-space normals.

@@ -20,7 +20,9 @@ use std::time::Instant;
 /// network reads: Nscreen.X/Y and Z, or N.X/Y/Z. OUT.exr has the same channels, with the reconstruction in R, G, B; beside it go OUT.png and OUT.compare.png (noisy, reconstructed).
 /// The result equals that of `limpid render --denoise` bit for bit.
 ///
-/// A frame that does not fit the device is reconstructed in tiles, with the same bits.
+/// A frame that does not fit the device is reconstructed in tiles, with the same bits. `--tile 128 --overlap 0` cuts it into chunks of 128 x 128
+/// pixels that know nothing of each other, and shows the seams that come of it; `--overlap K --blend` interpolates between overlapping tiles.
+/// Both are approximate, and for comparison; without --overlap tiles are exact.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Picture to reconstruct
@@ -50,7 +52,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<u8> {
     let start = Instant::now();
     let files = Files::new(&args.output)?;
-    let mut network = Reconstruction::load(args.weights.as_deref(), args.tiles.demand())?;
+    let mut network = Reconstruction::load(args.weights.as_deref(), args.tiles.cut())?;
     files.writable(true)?;
     let gpu = args.device.open()?;
     network.choose_kernels(&gpu, &args.kernels)?;
@@ -100,6 +102,9 @@ fn report(
         for text in skipped {
             report::print(&format!("skipped {text}"))?;
         }
+        if let Some(caution) = network.caution() {
+            report::print(&caution)?;
+        }
         report::print(&format!("reconstructed in {:.3} s on {}", device_ms * 1e-3, gpu.info().name))?;
         report::print(&format!("wrote {}", outputs.join(", ")))?;
         return Ok(0);
@@ -112,7 +117,7 @@ fn report(
     map.insert("tiling".into(), json!(network.tiling()));
     let settings = json!({
         "width": image.width, "height": image.height, "weights": network.describe(), "exposure_ev": args.exposure,
-        "tile": args.tiles.tile, "max_memory_mib": args.tiles.max_memory,
+        "tile": args.tiles.tile, "overlap": args.tiles.overlap, "blend": args.tiles.blend, "max_memory_mib": args.tiles.max_memory,
     });
     map.insert("settings".into(), settings);
     let times = json!({

@@ -272,6 +272,9 @@ impl<'a> Work<'a> {
         if totals.reconstruct_device_ms > 0.0 {
             report::print(&format!("reconstruct: {:.3} s", totals.reconstruct_device_ms * 1e-3))?;
         }
+        if let Some(caution) = self.network.as_ref().and_then(Reconstruction::caution) {
+            report::print(&caution)?;
+        }
         if totals.invalid > 0 {
             report::print(&format!("{} samples were not finite and were dropped", totals.invalid))?;
         }

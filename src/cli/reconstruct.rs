@@ -1,8 +1,9 @@
 //! The network, ready to reconstruct pictures.
 
 use super::device::KernelArgs;
+use super::tile::Cut;
 use limpid::denoise::{
-    Choice, Demand, Denoiser, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, embedded_weights,
+    Choice, Denoiser, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, embedded_weights,
 };
 use limpid::gpu::{Gpu, Slice, Timings};
 use limpid::image::{Image, Rgb};
@@ -21,7 +22,7 @@ pub struct Reconstruction {
     weights: Weights,
     inputs: Inputs,
     sha256: String,
-    demand: Demand,
+    cut: Cut,
     kernels: Option<kernels::Choice>,
     choice: Option<Choice>,
     made: Option<(Choice, Made)>,
@@ -36,12 +37,12 @@ enum Made {
 
 impl Reconstruction {
     /// Loads the weights of a file, or those that limpid was shipped with.
-    pub fn load(file: Option<&Path>, demand: Demand) -> Result<Self> {
+    pub fn load(file: Option<&Path>, cut: Cut) -> Result<Self> {
         let name = file.map_or_else(|| "embedded".to_owned(), |file| file.display().to_string());
         let weights = file.map_or_else(embedded_weights, Weights::load)?;
         let inputs = Preparation::of_weights(&weights, &name)?.inputs;
         let sha256 = Sha256::digest(weights.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { name, weights, inputs, sha256, demand, kernels: None, choice: None, made: None })
+        Ok(Self { name, weights, inputs, sha256, cut, kernels: None, choice: None, made: None })
     }
 
     /// What the network reads of a frame.
@@ -81,8 +82,22 @@ impl Reconstruction {
         let (window, core) = (tiling.window(), tiling.core());
         Some(json!({
             "tiles": tiling.count(), "core": [core.0, core.1], "window": [window.0, window.1], "overlap": tiling.overlap(),
+            "exact_overlap": tiling.exact_overlap(), "blend": tiling.blend(), "exact": tiling.is_exact(),
             "device_bytes": bytes,
         }))
+    }
+
+    /// A line about the last picture where it is not what the whole frame gives.
+    pub fn caution(&self) -> Option<String> {
+        let tiling = self.choice?.tiling;
+        (!tiling.is_exact()).then(|| {
+            let blended = if tiling.blend() { " blended" } else { "" };
+            let (overlap, exact) = (tiling.overlap(), tiling.exact_overlap());
+            format!(
+                "approximate: {} tiles with{blended} overlaps of {overlap} pixels; exact from {exact}, not blended",
+                tiling.count()
+            )
+        })
     }
 
     /// Decides how pictures of this size are cut, without allocating anything; an error where nothing fits.
@@ -90,7 +105,7 @@ impl Reconstruction {
         let kernels = self.chosen(gpu);
         let (info, architecture) = (gpu.info(), &self.weights.architecture);
         let task = Task { info, architecture, inputs: self.inputs, kernels, size, resident };
-        let choice = task.choose(&self.demand)?;
+        let choice = self.cut.choose(&task)?;
         self.choice = Some(choice);
         Ok(choice)
     }

@@ -167,7 +167,7 @@ pub fn run(args: &Args) -> Result<u8> {
     // Whatever is wrong with the input shows before a device is opened.
     let first = args.load(&spec, numbers[0])?;
     frame_files(&files, numbers[0])?.writable(args.denoise)?;
-    let load = || Reconstruction::load(args.weights.as_deref(), args.tiles.demand());
+    let load = || Reconstruction::load(args.weights.as_deref(), args.tiles.cut());
     let mut network = args.denoise.then(load).transpose()?;
     let gpu = args.device.open()?;
     if let Some(network) = &mut network {
@@ -207,7 +207,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
         "width": last.scene.camera.width, "height": last.scene.camera.height, "spp": s.spp, "seed": args.seed,
         "bounces": s.bounces, "estimator": s.estimator.to_string(), "sampler": s.sampler.to_string(), "aa": s.aa,
         "variance": s.variance, "denoise": args.denoise, "exposure_ev": args.exposure,
-        "tile": args.tiles.tile, "max_memory_mib": args.tiles.max_memory,
+        "tile": args.tiles.tile, "overlap": args.tiles.overlap, "blend": args.tiles.blend, "max_memory_mib": args.tiles.max_memory,
         "weights": work.network.as_ref().map(Reconstruction::describe),
     });
     map.insert("scene".into(), json!(args.scene));

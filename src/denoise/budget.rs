@@ -7,6 +7,7 @@ use super::tiled::TiledDenoiser;
 use super::tiles::Tiling;
 use crate::gpu::{DeviceInfo, Footprint};
 use crate::net::architecture::Architecture;
+use crate::net::plan::TileRules;
 use crate::{Error, Result};
 
 const MIB: u64 = 1 << 20;
@@ -18,6 +19,17 @@ pub struct Demand {
     pub tile: Option<u32>,
     /// Most bytes of all buffers of the reconstruction.
     pub max_bytes: Option<u64>,
+}
+
+/// Tiles with an overlap of the user's choice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Overlapping {
+    /// Side of a tile's core, pixels.
+    pub core: u32,
+    /// Pixels that windows reach beyond each side of it; fewer than the exact overlap make an approximate result.
+    pub overlap: u32,
+    /// Whether results are interpolated across the overlap.
+    pub blend: bool,
 }
 
 /// What decides how much memory a reconstruction takes.
@@ -60,15 +72,25 @@ impl Task<'_> {
     /// The tiling asked for, or the largest windows that fit. An error names the number that would do.
     pub fn choose(&self, demand: &Demand) -> Result<Choice> {
         match demand.tile {
-            Some(core) => self.check(core, demand),
+            Some(core) => self.check(core, demand, |core, rules| Tiling::cores(self.size, core, rules)),
             None => self.largest(demand),
         }
     }
 
-    fn check(&self, core: u32, demand: &Demand) -> Result<Choice> {
+    /// The tiling asked for. An error names the number that would do.
+    pub fn choose_overlapping(&self, tiles: &Overlapping) -> Result<Choice> {
+        let Overlapping { core, overlap, blend } = *tiles;
+        if blend && overlap == 0 {
+            return Err(Error::input("--blend with --overlap 0: nothing to blend across; e.g. --overlap 32 would do"));
+        }
+        let cut = |core, rules: &_| Tiling::overlapping(self.size, core, (overlap, blend), rules);
+        self.check(core, &Demand::default(), cut)
+    }
+
+    fn check(&self, core: u32, demand: &Demand, cut: impl Fn(u32, &TileRules) -> Tiling) -> Result<Choice> {
         let rules = self.kernels.tile_rules(self.architecture);
         check_core(core, rules.step, self.architecture.name())?;
-        let tiling = Tiling::cores(self.size, core, &rules);
+        let tiling = cut(core, &rules);
         let footprint = self.footprint(&tiling);
         let bytes = footprint.bytes;
         let limit = if !footprint.within_limits(self.info) {
@@ -79,7 +101,7 @@ impl Task<'_> {
             return Ok(Choice { tiling, bytes });
         };
         let fits = |core: u32| {
-            let footprint = self.footprint(&Tiling::cores(self.size, core, &rules));
+            let footprint = self.footprint(&cut(core, &rules));
             footprint.within_limits(self.info) && demand.max_bytes.is_none_or(|most| footprint.bytes <= most)
         };
         let smaller = (1..core / rules.step).rev().map(|steps| steps * rules.step).find(|core| fits(*core));

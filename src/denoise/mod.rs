@@ -7,7 +7,7 @@ mod preparation;
 mod tiled;
 mod tiles;
 
-pub use budget::{Choice, Demand, Task, check_core};
+pub use budget::{Choice, Demand, Overlapping, Task, check_core};
 pub use frame::{
     AlbedoNormalPush, Axes, BIN, BinsPush, Crop, Frame, FrameStats, Guides, InputPush, JoinPush, record_input,
 };

@@ -74,6 +74,7 @@ impl TiledDenoiser {
     pub fn run(&mut self, frame: &[Plane], mut progress: impl FnMut(f64)) -> Result<([Vec<f32>; 3], Timings)> {
         let (width, height) = self.tiling.size();
         let mut result = [(); 3].map(|()| vec![0.0; width as usize * height as usize]);
+        let mut blended = self.tiling.blend().then(|| [(); 3].map(|()| vec![0.0; result[0].len()]));
         let mut timings = self.measure(frame)?;
         let count = self.tiling.count();
         for (i, tile) in self.tiling.tiles().enumerate() {
@@ -81,10 +82,15 @@ impl TiledDenoiser {
             if count > 1 {
                 self.upload(frame, tile.window.within(self.tiling.size()))?;
             }
-            add(&mut timings, &self.compute(&tile, &mut result)?);
+            let (pixels, part) = self.compute(&tile)?;
+            match &mut blended {
+                Some(sums) => self.blend(&tile, &pixels, sums),
+                None => self.write(&tile, &pixels, &mut result),
+            }
+            add(&mut timings, &part);
             progress((i + 1) as f64 / f64::from(count));
         }
-        Ok((result, timings))
+        Ok((blended.map_or(result, |sums| sums.map(|plane| plane.iter().map(|&v| v as f32).collect())), timings))
     }
 
     /// Finds the exposure and the depth scale of a frame, strip by strip, for the tiles that follow.
@@ -117,27 +123,52 @@ impl TiledDenoiser {
     /// the frame.
     pub fn reconstruct(&mut self, frame: &[Plane], tile: &Tile, result: &mut [Vec<f32>; 3]) -> Result<Timings> {
         self.upload(frame, tile.window.within(self.tiling.size()))?;
-        self.compute(tile, result)
+        let (pixels, timings) = self.compute(tile)?;
+        self.write(tile, &pixels, result);
+        Ok(timings)
     }
 
-    /// The same, its window being on the device.
-    fn compute(&mut self, tile: &Tile, result: &mut [Vec<f32>; 3]) -> Result<Timings> {
-        let frame = self.tiling.size();
-        let (window, core) = (tile.window.within(frame), tile.core.within(frame));
+    /// The result for a window that is on the device, as far as it lies in the frame.
+    fn compute(&mut self, tile: &Tile) -> Result<(Vec<[f32; 4]>, Timings)> {
+        let window = tile.window.within(self.tiling.size());
         let ((radiance, guides), size) = (self.loaded(window), (window.width, window.height));
         let mut timings = self.now(|rec| self.network.record_input(rec, (&radiance, &guides), size))?;
         add(&mut timings, &self.forward.run()?);
         add(&mut timings, &self.now(|rec| self.network.record_output(rec, &radiance, size))?);
-        let pixels = self.network.download(window.pixels())?;
+        Ok((self.network.download(window.pixels())?, timings))
+    }
+
+    /// Copies the core.
+    fn write(&self, tile: &Tile, pixels: &[[f32; 4]], result: &mut [Vec<f32>; 3]) {
+        let core = tile.core.within(self.tiling.size());
         for y in core.y..core.y + core.height {
-            let from = ((y - window.y) * window.width + core.x - window.x) as usize;
-            let to = y as usize * frame.0 as usize + core.x as usize;
+            let (from, to) = self.places(tile, (core.x, y));
             let row = &pixels[from..from + core.width as usize];
             for (c, plane) in result.iter_mut().enumerate() {
                 plane[to..to + row.len()].iter_mut().zip(row).for_each(|(value, pixel)| *value = pixel[c]);
             }
         }
-        Ok(timings)
+    }
+
+    /// Adds what the tile gives to the frame. In f64, so that equal results come out as they are.
+    fn blend(&self, tile: &Tile, pixels: &[[f32; 4]], sums: &mut [Vec<f64>; 3]) {
+        let (part, [columns, rows]) = self.tiling.weights(tile);
+        for (y, row_weight) in (part.y..).zip(rows) {
+            let (from, to) = self.places(tile, (part.x, y));
+            for (c, plane) in sums.iter_mut().enumerate() {
+                let values = plane[to..].iter_mut().zip(&pixels[from..]);
+                for ((sum, pixel), weight) in values.zip(&columns) {
+                    *sum += weight * row_weight * f64::from(pixel[c]);
+                }
+            }
+        }
+    }
+
+    /// Where a pixel of the frame lies in the result of a tile's window, and in the frame.
+    fn places(&self, tile: &Tile, (x, y): (u32, u32)) -> (usize, usize) {
+        let (size, window) = (self.tiling.size(), tile.window.within(self.tiling.size()));
+        let from = (y - window.y) * window.width + x - window.x;
+        (from as usize, y as usize * size.0 as usize + x as usize)
     }
 
     fn upload(&self, frame: &[Plane], part: Rect) -> Result<()> {

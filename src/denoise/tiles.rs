@@ -3,6 +3,9 @@
 //! The network runs on windows that all have one size; a window reaches at least the overlap beyond the core of its tile,
 //! but ends where the padded frame ends, so that the network's zero padding falls where the whole frame's does. Only cores
 //! are written, each pixel once: the result has the bits of the whole frame.
+//!
+//! With a smaller overlap it has not: the network sees zeros where the frame goes on, and results differ from tile to tile.
+//! Blending interpolates them across the overlap.
 
 use crate::net::plan::TileRules;
 
@@ -40,6 +43,8 @@ pub struct Tile {
     pub window: Rect,
     /// What is written, in the padded frame.
     pub core: Rect,
+    /// Column and row of tiles.
+    index: (u32, u32),
 }
 
 /// Rows or columns of a frame, cut.
@@ -49,8 +54,10 @@ struct Axis {
     padded: u32,
     /// Of a window.
     window: u32,
-    /// From one window to the next.
+    /// From one core to the next.
     stride: u32,
+    /// What the first core has beyond a stride.
+    first: u32,
     overlap: u32,
     count: u32,
 }
@@ -62,12 +69,28 @@ impl Axis {
         let TileRules { alignment, step, overlap } = *rules;
         let padded = size.next_multiple_of(alignment);
         if wanted >= padded {
-            return Self { padded, window: padded, stride: padded, overlap, count: 1 };
+            return Self::whole(padded, overlap);
         }
         let window = padded - (padded - wanted) / step * step;
         let stride = (window - 2 * overlap) / step * step;
         // The first and the last core reach to the frame's ends.
-        Self { padded, window, stride, overlap, count: (padded - window).div_ceil(stride) + 1 }
+        let count = (padded - window).div_ceil(stride) + 1;
+        Self { padded, window, stride, first: overlap, overlap, count }
+    }
+
+    fn whole(padded: u32, overlap: u32) -> Self {
+        Self { padded, window: padded, stride: padded, first: 0, overlap, count: 1 }
+    }
+
+    /// Cores at the multiples of `core`, which the alignment divides, in windows of at least `overlap` more on each side.
+    fn chunks(size: u32, core: u32, overlap: u32, alignment: u32) -> Self {
+        let padded = size.next_multiple_of(alignment);
+        let wanted = u64::from(core) + 2 * u64::from(overlap);
+        if wanted >= u64::from(padded) {
+            return Self::whole(padded, overlap);
+        }
+        let window = (wanted as u32).next_multiple_of(alignment);
+        Self { padded, window, stride: core, first: 0, overlap, count: padded.div_ceil(core) }
     }
 
     /// As few windows as there are with `most` pixels, and these as small as that allows.
@@ -82,7 +105,7 @@ impl Axis {
     }
 
     fn begin(&self, i: u32) -> u32 {
-        (i * self.stride).min(self.padded - self.window)
+        (i * self.stride + self.first).saturating_sub(self.overlap).min(self.padded - self.window)
     }
 
     /// Where the core of window `i - 1` ends and that of window `i` begins.
@@ -90,8 +113,25 @@ impl Axis {
         match i {
             0 => 0,
             i if i == self.count => self.padded,
-            i => i * self.stride + self.overlap,
+            i => i * self.stride + self.first,
         }
+    }
+
+    /// The part of 0..`size` to which core `i` gives something where results are blended, and the weights there: the share that
+    /// the core has of the `overlap` pixels to either side of a pixel's centre. They are linear across the overlap, and those of all cores sum to 1.
+    fn weights(&self, i: u32, size: u32) -> (u32, Vec<f64>) {
+        let reach = f64::from(self.overlap);
+        let (first, last) = (i == 0, i + 1 == self.count);
+        let begin = if first { 0 } else { self.cut(i).saturating_sub(self.overlap) };
+        let end = if last { size } else { (self.cut(i + 1) + self.overlap).min(size) };
+        // Beyond the frame the cores at its ends go on.
+        let low = if first { f64::NEG_INFINITY } else { f64::from(self.cut(i)) };
+        let high = if last { f64::INFINITY } else { f64::from(self.cut(i + 1)) };
+        let weight = |x: u32| {
+            let centre = f64::from(x) + 0.5;
+            ((centre + reach).min(high) - (centre - reach).max(low)) / (2.0 * reach)
+        };
+        (begin, (begin..end).map(weight).collect())
     }
 }
 
@@ -100,6 +140,9 @@ impl Axis {
 pub struct Tiling {
     size: (u32, u32),
     overlap: u32,
+    /// The overlap with which the result has the bits of the whole frame.
+    exact_overlap: u32,
+    blend: bool,
     x: Axis,
     y: Axis,
 }
@@ -119,8 +162,31 @@ impl Tiling {
     }
 
     fn windows(size: (u32, u32), wanted: u32, rules: &TileRules) -> Self {
-        let axis = |size| Axis::new(size, wanted, rules);
-        Self { size, overlap: rules.overlap, x: axis(size.0), y: axis(size.1) }
+        Self::exact(size, rules, |size| Axis::new(size, wanted, rules))
+    }
+
+    fn exact(size: (u32, u32), rules: &TileRules, axis: impl Fn(u32) -> Axis) -> Self {
+        let TileRules { overlap, .. } = *rules;
+        Self { size, overlap, exact_overlap: overlap, blend: false, x: axis(size.0), y: axis(size.1) }
+    }
+
+    /// Cores of `core` x `core` pixels, a multiple of the step, at the multiples of that, in windows that reach `overlap` pixels
+    /// beyond each side and then on to the alignment, but stay inside the padded frame: the last ones of a frame that is no multiple of `core`
+    /// are moved back into it. With `blend`, results are interpolated across the overlap, which is then not 0. Without, an
+    /// overlap as large as the exact one is rounded up to the step, and the result is exact.
+    ///
+    /// # Panics
+    /// Where results are to be blended across nothing.
+    #[must_use]
+    pub fn overlapping(size: (u32, u32), core: u32, (overlap, blend): (u32, bool), rules: &TileRules) -> Self {
+        assert!(overlap > 0 || !blend, "nothing to blend across");
+        if overlap >= rules.overlap && !blend {
+            // More than the frame changes nothing.
+            let overlap = overlap.min(size.0.max(size.1).max(rules.overlap)).next_multiple_of(rules.step);
+            return Self { exact_overlap: rules.overlap, ..Self::cores(size, core, &TileRules { overlap, ..*rules }) };
+        }
+        let axis = |size| Axis::chunks(size, core, overlap, rules.alignment);
+        Self { size, overlap, exact_overlap: rules.overlap, blend, x: axis(size.0), y: axis(size.1) }
     }
 
     /// Tilings with ever smaller windows, from the whole frame down.
@@ -130,7 +196,7 @@ impl Tiling {
         let mut last = None;
         (least / rules.step..=longest / rules.step).rev().filter_map(move |steps| {
             let axis = |size| Axis::at_most(size, steps * rules.step, &rules);
-            let tiling = Self { size, overlap: rules.overlap, x: axis(size.0), y: axis(size.1) };
+            let tiling = Self::exact(size, &rules, axis);
             (last.replace(tiling) != Some(tiling)).then_some(tiling)
         })
     }
@@ -160,6 +226,33 @@ impl Tiling {
         self.overlap
     }
 
+    /// The overlap with which the result has the bits of the whole frame, pixels.
+    #[must_use]
+    pub fn exact_overlap(&self) -> u32 {
+        self.exact_overlap
+    }
+
+    /// Whether results are interpolated across the overlap.
+    #[must_use]
+    pub fn blend(&self) -> bool {
+        self.blend
+    }
+
+    /// Whether the result has the bits of the whole frame.
+    #[must_use]
+    pub fn is_exact(&self) -> bool {
+        self.count() == 1 || (!self.blend && self.overlap >= self.exact_overlap)
+    }
+
+    /// Where the result of a tile counts when blended: a part of the frame, and the weights of its columns and rows; a
+    /// pixel's is the product. The weights of all tiles sum to 1 at every pixel.
+    #[must_use]
+    pub fn weights(&self, tile: &Tile) -> (Rect, [Vec<f64>; 2]) {
+        let (x, columns) = self.x.weights(tile.index.0, self.size.0);
+        let (y, rows) = self.y.weights(tile.index.1, self.size.1);
+        (Rect { x, y, width: columns.len() as u32, height: rows.len() as u32 }, [columns, rows])
+    }
+
     /// Tiles.
     #[must_use]
     pub fn count(&self) -> u32 {
@@ -176,6 +269,7 @@ impl Tiling {
             Tile {
                 window: Rect { x: x.begin(i), y: y.begin(j), width: x.window, height: y.window },
                 core: Rect { x: core_x, y: core_y, width, height },
+                index: (i, j),
             }
         })
     }
@@ -196,7 +290,7 @@ mod tests {
         let (width, height) = tiling.size();
         let padded = (width.next_multiple_of(rules.alignment), height.next_multiple_of(rules.alignment));
         let mut area = 0;
-        for Tile { window, core } in tiling.tiles() {
+        for Tile { window, core, .. } in tiling.tiles() {
             area += core.pixels();
             assert_eq!((window.width, window.height), tiling.window());
             let axes = [
