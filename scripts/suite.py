@@ -81,6 +81,9 @@ class Suite:
             with tempfile.TemporaryDirectory(dir=self.out) as temporary:
                 part = Path(temporary) / f"part{path.suffix}"
                 command(part)
+                display = part.with_suffix(".png")
+                if display.exists():
+                    display.replace(path.with_suffix(".png"))
                 part.replace(path)
         return path
 
