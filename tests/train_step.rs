@@ -246,6 +246,38 @@ fn equal_runs_and_resumed_runs_give_equal_bits() {
     }
 }
 
+/// A run with batches of several sizes is one of steps of one size each, which hand parameters and moments on.
+#[test]
+fn sizes_share_parameters_and_moments() {
+    let gpu = gpu();
+    let architecture = tiny();
+    let weights = weights(&architecture);
+    let adam = Adam { learning_rate: 1e-2, ..Adam::default() };
+    let batches = [[2, 8, 8], [1, 16, 12]].map(|size| batch(&architecture, size, "sizes"));
+    let size = |batch: &Batch| {
+        let [n, _, h, w] = batch.input.shape.map(|size| size as u32);
+        (n, h, w)
+    };
+    for family in families(gpu.info()) {
+        let sizes = [size(&batches[0]), size(&batches[1])];
+        let mut all = Step::with_sizes(&gpu, family, &weights, &sizes, adam).unwrap();
+        let mut one = step_for(&gpu, family, &weights, &batches[0], adam);
+        for i in [0, 1, 1, 0] {
+            let mut next = step_for(&gpu, family, &one.weights(&architecture).unwrap(), &batches[i], adam);
+            next.set_moments(&one.moments().unwrap()).unwrap();
+            one = next;
+            let expected = take(&gpu, &mut one, &batches[i], &adam);
+            all.input_of(i).upload(&gpu, &batches[i].input.data).unwrap();
+            all.target_of(i).upload(&gpu, &batches[i].target.data).unwrap();
+            let (loss, _) = all.run_size(i, adam.learning_rate).unwrap();
+            assert_eq!(loss.to_bits(), expected.to_bits());
+            require(family.name(), same_bits(&all.gradient().unwrap(), &one.gradient().unwrap()));
+            require(family.name(), same_bits(&all.parameters.get().unwrap(), &one.parameters.get().unwrap()));
+            assert_eq!(all.moments().unwrap(), one.moments().unwrap());
+        }
+    }
+}
+
 /// Sums over 885,000 pixels: one invocation that made them all would pass 65,535 iterations, after which CPU drivers end
 /// every loop without a word.
 #[test]

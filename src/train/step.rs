@@ -46,6 +46,8 @@ struct Pass {
     plan: Plan,
     backward: Backward,
     target: DeviceTensor,
+    /// Parts of the loss, as many as this size has.
+    loss: Buffer,
     commands: Commands,
     /// The forward pass alone.
     forward: Commands,
@@ -59,7 +61,6 @@ pub struct Step {
     passes: Vec<Pass>,
     /// The pass that was run last.
     last: usize,
-    loss: Buffer,
     mean: Buffer,
     mean_square: Buffer,
     factors: Buffer,
@@ -80,7 +81,6 @@ impl Step {
     /// Tensors and commands for batches of several sizes, which train the same parameters.
     pub fn with_sizes(gpu: &Gpu, family: Family, weights: &Weights, sizes: &[Size], adam: Adam) -> Result<Self> {
         let parameters = Parameters::new(gpu, family, weights, true)?;
-        let loss = gpu.buffer("loss", u64::from(LOSS_INVOCATIONS) * 4)?;
         let like_parameters = |name| gpu.buffer(name, parameters.flat.bytes());
         let (mean, mean_square) = (like_parameters("Adam mean")?, like_parameters("Adam mean square")?);
         let factors = gpu.buffer("Adam factors", 8)?;
@@ -98,7 +98,6 @@ impl Step {
             parameters,
             passes: Vec::new(),
             last: 0,
-            loss,
             mean,
             mean_square,
             factors,
@@ -122,7 +121,8 @@ impl Step {
         let mut rec = gpu.recorder();
         plan.record(&mut rec, &self.parameters)?;
         let forward = rec.finish()?;
-        let mut pass = Pass { plan, backward, target, commands: gpu.recorder().finish()?, forward };
+        let loss = gpu.buffer("loss", u64::from(LOSS_INVOCATIONS) * 4)?;
+        let mut pass = Pass { plan, backward, target, loss, commands: gpu.recorder().finish()?, forward };
         let mut rec = gpu.recorder();
         self.record_pass(&mut rec, &pass)?;
         pass.commands = rec.finish()?;
@@ -135,10 +135,10 @@ impl Step {
     }
 
     fn record_pass(&self, rec: &mut Recorder, pass: &Pass) -> Result<()> {
-        let Pass { plan, backward, target, .. } = pass;
+        let Pass { plan, backward, target, loss, .. } = pass;
         let (gpu, parameters) = (&self.gpu, &self.parameters);
         plan.record(rec, parameters)?;
-        record_loss(gpu, rec, plan.output(), target, backward.output_gradient(), &self.loss)?;
+        record_loss(gpu, rec, plan.output(), target, backward.output_gradient(), loss)?;
         if let Some(scale) = &self.loss_scale {
             scale.scale(rec, backward.output_gradient())?;
         }
@@ -225,7 +225,7 @@ impl Step {
         let timings = self.passes[i].commands.run()?;
         self.last = i;
         self.steps_done += 1;
-        let parts: Vec<f32> = self.gpu.download(&self.loss.all())?;
+        let parts: Vec<f32> = self.gpu.download(&self.passes[i].loss.all())?;
         let shape = self.passes[i].target.shape;
         let values = u64::from(shape.n) * u64::from(shape.h) * u64::from(shape.w) * 3;
         Ok((parts.iter().map(|p| f64::from(*p)).sum::<f64>() / values as f64, timings))
