@@ -10,6 +10,7 @@ use limpid::net::kernel::Family;
 use limpid::net::weights::Weights;
 use limpid::train::checkpoint;
 use limpid::train::data::{DataSettings, Scenes};
+use limpid::train::preset::Source;
 use limpid::train::run::{FIRST_LOSSES, Length, RUN, Run, RunState};
 
 fn state(seed: u64) -> RunState {
@@ -117,7 +118,8 @@ fn settings_that_do_not_fit_are_refused() {
         (|d| d.crop = 64, "at most the window"),
     ] {
         let mut state = state(1);
-        change(&mut state.data);
+        let Source::Fresh(data) = &mut state.data else { panic!("{:?}", state.data) };
+        change(data);
         let message =
             Run::new(&gpu, Family::choose(gpu.info()), state, &weights, None).err().expect("refused").to_string();
         assert!(message.contains(word), "{message}");

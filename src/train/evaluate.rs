@@ -18,7 +18,7 @@ use std::collections::HashSet;
 /// Training chunks that are looked at; held-out ones are looked at all.
 const TRAINING_SAMPLE: usize = 256;
 /// Scenes of each kind and side where nothing is stored.
-const FRESH_SCENES: usize = 4;
+const FRESH_SCENES: usize = 8;
 
 /// Figures on chunks.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,10 +83,12 @@ impl Yardstick {
         };
         let numbers = [shown_scenes(seed), held_out_scenes(seed)];
         let scenes: Vec<(u64, Scene)> =
-            numbers.iter().flat_map(|side| side.iter().flat_map(|n| kinds.iter().map(|kind| (*n, kind(*n))))).collect();
+            numbers.iter().flat_map(|side| kinds.iter().flat_map(|kind| side.iter().map(|n| (*n, kind(*n))))).collect();
         let frames = Frames::render(gpu, preparation, &settings, &scenes, progress)?;
+        // One of the four chunks of each noisy picture: more scenes say more than more of a scene.
         let all = chunks(scenes.len() as u32, super::dataset::NOISY_VERSIONS, frames.size(), crop)?;
-        let (training, held_out) = all.into_iter().partition(|c| (c.picture as usize) < scenes.len() / 2);
+        let chosen = all.chunks(4).enumerate().map(|(i, four)| four[(hash(seed, i as u64) % 4) as usize]);
+        let (training, held_out) = chosen.partition(|c| (c.picture as usize) < scenes.len() / 2);
         Self::new(gpu, frames, (training, held_out), step)
     }
 

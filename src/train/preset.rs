@@ -81,13 +81,13 @@ impl StoredSettings {
     /// Whole epochs that are over after `step` steps. An epoch may end in the middle of a step's batch.
     #[must_use]
     pub fn epochs_done(&self, step: u64) -> u64 {
-        step * u64::from(self.batch) / self.epoch_chunks
+        step * u64::from(self.batch) / self.epoch_chunks.max(1)
     }
 
     /// Steps after which this many epochs are over.
     #[must_use]
     pub fn steps_of(&self, epochs: u64) -> u64 {
-        (epochs * self.epoch_chunks).div_ceil(u64::from(self.batch))
+        (epochs * self.epoch_chunks).div_ceil(u64::from(self.batch.max(1)))
     }
 }
 

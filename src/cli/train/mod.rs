@@ -67,10 +67,11 @@ fn train(args: &Args, run: &mut Run, gpu: &Gpu, (outputs, log): (&Outputs, &mut 
     let mut saved = Instant::now();
     let mut unsaved = false;
     loop {
-        if run.state.evaluation_due() && stop.requested().is_none() {
-            if let Some(evaluation) = run.evaluate(|| stop.requested().is_none())? {
-                log.write(&evaluation)?;
-            }
+        if run.state.evaluation_due()
+            && stop.requested().is_none()
+            && let Some(evaluation) = run.evaluate(|| stop.requested().is_none())?
+        {
+            log.write(&evaluation)?;
         }
         if std::mem::take(&mut unsaved) {
             outputs.save(run, gpu)?;

@@ -16,7 +16,7 @@ use limpid::train::run::{Length, Run, RunState};
 use limpid::train::step::Moments;
 use limpid::{Error, Result};
 use sha2::{Digest, Sha256};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// What a run begins with.
 pub struct Beginning {
@@ -97,7 +97,7 @@ impl Beginning {
 }
 
 /// The data set that was named, or the one beside the output, made where it is not there; none where a signal came first.
-fn manifest(args: &Args, gpu: &Gpu, folder: &PathBuf, stop: &Stop) -> Result<Option<Manifest>> {
+fn manifest(args: &Args, gpu: &Gpu, folder: &Path, stop: &Stop) -> Result<Option<Manifest>> {
     if args.paper.dataset.is_some() {
         return Manifest::of(folder).map(Some);
     }
