@@ -24,8 +24,8 @@ fn wall() -> Picture {
 }
 
 fn lit(picture: &mut Picture, irradiance: [f32; 3]) {
-    for c in 0..3 {
-        picture.radiance[c] = picture.albedo[c].iter().map(|albedo| albedo * irradiance[c]).collect();
+    for (c, light) in irradiance.into_iter().enumerate() {
+        picture.radiance[c] = picture.albedo[c].iter().map(|albedo| albedo * light).collect();
     }
 }
 
@@ -41,8 +41,8 @@ fn a_constant_stays_constant() {
     lit(&mut picture, [0.5, 1.5, 4.0]);
     for radius in RADII {
         let found = picture.filtered(radius);
-        for c in 0..3 {
-            found[c].iter().zip(&picture.radiance[c]).for_each(|(a, r)| close(*a, *r, 2 * WIDTH * HEIGHT + 8));
+        for (found, expected) in found.iter().zip(&picture.radiance) {
+            found.iter().zip(expected).for_each(|(a, r)| close(*a, *r, 2 * WIDTH * HEIGHT + 8));
         }
     }
 }
@@ -51,8 +51,8 @@ fn a_constant_stays_constant() {
 fn no_radius_is_no_filter() {
     let picture = wall();
     let found = picture.filtered(0);
-    for c in 0..3 {
-        found[c].iter().zip(&picture.radiance[c]).for_each(|(a, r)| close(*a, *r, 2));
+    for (found, expected) in found.iter().zip(&picture.radiance) {
+        found.iter().zip(expected).for_each(|(a, r)| close(*a, *r, 2));
     }
 }
 

@@ -18,15 +18,16 @@ pub fn seam_energy(a: Rgb, r: Rgb, width: u32, chunk: u32) -> Result<f64> {
             "--seams {chunk}: no two chunks meet in {width}x{height} pixels; from 2 to {most} would do"
         )));
     }
-    let error = |c: usize, i: usize| f64::from(a[c][i]).clamp(0.0, 1.0) - f64::from(r[c][i]).clamp(0.0, 1.0);
     let (mut across, mut within) = (Mean::default(), Mean::default());
-    for c in 0..3 {
-        for i in 0..a[c].len() {
+    for (a, r) in a.into_iter().zip(r) {
+        let clamp = |v: &f32| f64::from(*v).clamp(0.0, 1.0);
+        let error: Vec<f64> = a.iter().zip(r).map(|(a, r)| clamp(a) - clamp(r)).collect();
+        for (i, here) in error.iter().enumerate() {
             let (x, y) = (i as u32 % width, i as u32 / width);
             for (at, size, next) in [(x, width, 1), (y, height, width as usize)] {
                 if at + 1 < size {
                     let mean = if (at + 1).is_multiple_of(chunk) { &mut across } else { &mut within };
-                    mean.add((error(c, i) - error(c, i + next)).abs());
+                    mean.add((here - error[i + next]).abs());
                 }
             }
         }
