@@ -2,6 +2,8 @@
 
 use limpid::Error;
 use limpid::net::architecture::{Architecture, Op, Row};
+use limpid::net::reference;
+use limpid::net::tensor::Tensor;
 use limpid::net::weights::Weights;
 use proptest::prelude::*;
 use safetensors::{Dtype, tensor::TensorView};
@@ -110,6 +112,24 @@ fn the_bytes_are_a_file_that_the_crate_reads() {
         assert_eq!(view.data(), values);
     }
     assert_eq!(bytes, weights.clone().to_bytes());
+}
+
+/// Untrained, `base` is the identity on radiance: exactly, for ones and zeros are exact factors.
+#[test]
+fn initial_weights_of_base_give_the_radiance_back() {
+    let architecture = Architecture::named("base").unwrap();
+    let weights = Weights::initial(&architecture, 5);
+    assert_ne!(weights.parameters, Weights::glorot(&architecture, 5).parameters);
+    // Inputs are not negative: transferred radiance, albedo, normals from 0 to 1.
+    let input = Tensor::<f32>::uniform([1, 9, 16, 32], 3);
+    let input = Tensor::new(input.shape, input.data.iter().map(|v| f64::from(v.abs())).collect());
+    let parameters: Vec<f64> = weights.parameters.iter().copied().map(f64::from).collect();
+    let output = reference::forward(&architecture, &parameters, &input).pop().unwrap();
+    for c in 0..3 {
+        assert_eq!(output.plane(0, c), input.plane(0, c), "channel {c}");
+    }
+    let seed = Architecture::seed();
+    assert_eq!(Weights::initial(&seed, 5), Weights::glorot(&seed, 5));
 }
 
 #[test]

@@ -48,6 +48,25 @@ const NAMED_BY: [&str; 11] = [
     "dec_conv1b",
 ];
 
+/// Channels of the radiance, the first of the input.
+const RADIANCE: usize = 3;
+
+/// Where a tensor lies on the way from the input's skip to the output: lets its first output channels be the radiance, and
+/// those of the last layer nothing else. `shape` is that of OIHW weights.
+pub(super) fn pass_radiance(tensor: &str, shape: &[usize], weights: &mut [f32]) {
+    const CENTER: usize = 4;
+    let first = match tensor {
+        // After the upsampled features comes the input.
+        "dec_conv1a.weight" => shape[1] - INPUT_CHANNELS,
+        "dec_conv1b.weight" | "dec_conv0.weight" => 0,
+        _ => return,
+    };
+    for (channel, output) in weights.chunks_mut(shape[1] * 9).take(RADIANCE).enumerate() {
+        output.fill(0.0);
+        output[(first + channel) * 9 + CENTER] = 1.0;
+    }
+}
+
 const MULTIPLE: usize = 16;
 const LARGEST: usize = 1024;
 

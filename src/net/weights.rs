@@ -43,6 +43,19 @@ impl Weights {
         Self { architecture: architecture.clone(), parameters, metadata: BTreeMap::new() }
     }
 
+    /// What training begins with: [`Self::glorot`], but `base` gives its input's radiance back, so that training starts at the
+    /// error of the noisy picture and learns what to change.
+    #[must_use]
+    pub fn initial(architecture: &Architecture, seed: u64) -> Self {
+        let mut weights = Self::glorot(architecture, seed);
+        if architecture.name() == "base" {
+            for TensorSpec { name, shape, range } in architecture.tensors() {
+                super::base::pass_radiance(&name, &shape, &mut weights.parameters[range]);
+            }
+        }
+        weights
+    }
+
     /// The weights in a safetensors file, of whichever architecture its metadata names.
     pub fn load(path: &Path) -> Result<Self> {
         Self::from_bytes(&read(path)?, &path.display().to_string(), None)

@@ -108,7 +108,7 @@ fn manifest(args: &Args, gpu: &Gpu, folder: &Path, stop: &Stop) -> Result<Option
 /// The weights that a run begins with, a file's with the file's widths, and the sha256 of that file.
 pub fn initial_weights(args: &Args, architecture: &Architecture, seed: u64) -> Result<(Weights, Option<String>)> {
     match &args.init {
-        None => Ok((Weights::glorot(architecture, seed), None)),
+        None => Ok((Weights::initial(architecture, seed), None)),
         Some(path) => {
             let weights = Weights::load(path)?;
             let (file, name) = (path.display(), weights.architecture.name());
