@@ -110,15 +110,21 @@ fn padded(values: impl Iterator<Item = f64>) -> Range<f64> {
     if low <= high { low / 1.2..high * 1.2 } else { 0.01..1.0 }
 }
 
-/// Marks of a logarithmic axis: 1, 2 and 5 times powers of ten, tenths between them where that gives too few.
+/// Marks of a logarithmic axis: the coarsest steps from one power of ten to the next that give three marks or more.
 fn ticks(range: &Range<f64>) -> Vec<f64> {
+    // In hundredths of a power of ten.
+    let steps: [&[u32]; 3] = [
+        &[100, 200, 500],
+        &[100, 150, 200, 300, 400, 500, 700],
+        &[100, 110, 120, 130, 140, 150, 160, 180, 200, 220, 250, 280, 300, 350, 400, 450, 500, 550, 600, 700, 800, 900],
+    ];
     let marks = |steps: &[u32]| -> Vec<f64> {
         let powers = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
-        let all = powers.flat_map(|p| steps.iter().map(move |s| f64::from(*s) * 10f64.powi(p - 1)));
+        let all = powers.flat_map(|p| steps.iter().map(move |s| f64::from(*s) * 10f64.powi(p - 2)));
         all.filter(|mark| range.contains(mark)).collect()
     };
-    let few = marks(&[10, 20, 50]);
-    if few.len() >= 3 { few } else { marks(&(10..100).collect::<Vec<_>>()) }
+    let enough = steps[..2].iter().map(|steps| marks(steps)).find(|marks| marks.len() >= 3);
+    enough.unwrap_or_else(|| marks(steps[2]))
 }
 
 /// A number with as many digits as it needs.
@@ -199,13 +205,18 @@ mod tests {
 
     #[test]
     fn marks_are_few_and_inside() {
-        for range in [0.001..0.9, 0.011..0.013, 0.02..0.05, 1e-9..1.0] {
-            let ticks = ticks(&range);
-            assert!(
-                ticks.len() >= 2 && ticks.len() < 90 && ticks.iter().all(|t| range.contains(t)),
-                "{range:?} {ticks:?}"
-            );
+        // Whatever the range, once `padded`: 1.44 times or more from end to end.
+        for low in (0..200).map(|i| 1e-4 * 1.05f64.powi(i)) {
+            for high in (0..100).map(|i| low * 1.44 * 1.1f64.powi(i)) {
+                let ticks = ticks(&(low..high));
+                assert!((3..=20).contains(&ticks.len()), "{low} {high} {ticks:?}");
+                assert!(ticks.iter().all(|t| (low..high).contains(t)));
+            }
         }
+        assert_eq!(
+            ticks(&(0.02..1.5)).iter().map(short).collect::<Vec<_>>(),
+            ["0.02", "0.05", "0.1", "0.2", "0.5", "1"]
+        );
         assert_eq!((short(&0.02), short(&1000.0), short(&0.0)), ("0.02".into(), "1000".into(), "0".into()));
     }
 }
