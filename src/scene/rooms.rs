@@ -2,7 +2,7 @@
 //!
 //! Beside [`super::family`], whose box and five spheres it never shows: rooms of other proportions, colours and patterns, 1 to
 //! 40 spheres, one to three lights of any colour and size, cameras near and far, radiance over three decades. The numbers of
-//! shapes come in [`KINDS`], so that a renderer needs few pipelines.
+//! shapes come in twelve combinations, so that a renderer needs few pipelines.
 
 use super::camera::look_at_matrix;
 use super::family::{between, uniform_of};

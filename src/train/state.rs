@@ -24,7 +24,7 @@ pub const FIRST_LOSSES: &str = "first_losses";
 /// Everything that a run is, but for its parameters and moments.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunState {
-    /// Architecture, as [`Architecture::specification`] has it.
+    /// Architecture, as [`crate::net::architecture::Architecture::specification`] has it.
     pub architecture: String,
     /// What it sees.
     pub data: Source,
