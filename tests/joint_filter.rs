@@ -20,6 +20,7 @@ fn wall() -> Picture {
         albedo: ["R", "G", "B"].map(|name| plane(&|i| 0.2 + 0.7 * u(name, i))),
         normal: [0.0, 0.0, 1.0].map(|v| plane(&|_| v)),
         depth: plane(&|i| 3.0 + 0.02 * (i % WIDTH) as f32),
+        aa: false,
     }
 }
 
@@ -128,6 +129,12 @@ fn exact_pixels_stay() {
         // No share of it elsewhere: irradiance is 2 / 0.2 at most.
         assert!(plane.iter().enumerate().all(|(i, v)| i == 500 || *v <= 10.001 * picture.albedo[c][i]));
     }
+    // The eight about it are partly light where samples have rays of their own; others are not.
+    picture.aa = true;
+    let near = |i: usize| (i % WIDTH).abs_diff(500 % WIDTH).max((i / WIDTH).abs_diff(500 / WIDTH)) <= 1;
+    (0..WIDTH * HEIGHT).filter(|i| near(*i)).for_each(|i| picture.radiance[0][i] = 1e6);
+    let found = &picture.filtered(7)[0];
+    assert!((0..WIDTH * HEIGHT).all(|i| if near(i) { found[i] == 1e6 } else { found[i] <= 10.001 }));
 }
 
 #[test]
@@ -142,6 +149,9 @@ fn it_reads_what_limpid_writes() {
     assert!(Picture::of(&image).is_err_and(|error| error.to_string().contains("'Z'")));
     image.channels.insert("Z".into(), picture.depth.clone());
     assert_eq!(Picture::of(&image).unwrap().filtered(3), picture.filtered(3));
+    assert!(!Picture::of(&image).unwrap().aa);
+    image.attributes.insert("aa".into(), "true".into());
+    assert!(Picture::of(&image).unwrap().aa);
     // The noisy radiance where there is one.
     image.move_rgb("", "noisy").unwrap();
     image.set_rgb("", [0, 1, 2].map(|_| vec![0.0; WIDTH * HEIGHT]));

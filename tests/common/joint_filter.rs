@@ -2,7 +2,8 @@
 //!
 //! Radiance is divided by albedo, averaged over a square, and multiplied by albedo again. In the mean a pixel counts
 //! by how well its normal agrees, and by how near its depth is to what the surface's slope foretells; pixels whose radiance is exact (albedo 0:
-//! lights, nothing) count nowhere and stay as they are.
+//! lights, nothing) count nowhere and stay as they are. So do their neighbours where samples have rays of their own (--aa): these pixels are
+//! partly light, which no guide tells.
 #![allow(dead_code)]
 
 use limpid::Result;
@@ -28,6 +29,8 @@ pub struct Picture {
     pub normal: [Vec<f32>; 3],
     /// Along the ray.
     pub depth: Vec<f32>,
+    /// Whether each sample has a camera ray of its own.
+    pub aa: bool,
 }
 
 impl Picture {
@@ -36,8 +39,9 @@ impl Picture {
         let radiance = image.rgb(if image.has_rgb("noisy") { "noisy" } else { "" })?.map(<[f32]>::to_vec);
         let albedo = image.rgb("albedo")?.map(<[f32]>::to_vec);
         let channel = |name| image.channel(name).map(<[f32]>::to_vec);
+        let aa = image.attributes.get("aa").is_some_and(|aa| aa == "true");
         let normal = [channel("N.X")?, channel("N.Y")?, channel("N.Z")?];
-        Ok(Self { width: image.width as usize, radiance, albedo, normal, depth: channel("Z")? })
+        Ok(Self { width: image.width as usize, radiance, albedo, normal, depth: channel("Z")?, aa })
     }
 
     /// The radiance, filtered over squares of `2 * radius + 1` pixels.
@@ -49,6 +53,14 @@ impl Picture {
 
     fn height(&self) -> usize {
         self.depth.len() / self.width
+    }
+
+    /// Whether a pixel's radiance is exact, or may be so in part.
+    fn keeps(&self, i: usize) -> bool {
+        let (x, y, reach) = (i % self.width, i / self.width, usize::from(self.aa));
+        let near = |at: usize, size: usize| at.saturating_sub(reach)..(at + reach + 1).min(size);
+        near(y, self.height())
+            .any(|v| near(x, self.width).any(|u| self.albedo.iter().all(|plane| plane[v * self.width + u] == 0.0)))
     }
 
     /// The change of depth from a pixel to the next along a line: the smaller of those to either side, as an edge is
@@ -64,7 +76,7 @@ struct Prepared<'a> {
     picture: &'a Picture,
     /// Radiance by albedo.
     irradiance: [Vec<f32>; 3],
-    /// 0 where the radiance is exact, else 1.
+    /// 0 where the radiance stays, else 1.
     counts: Vec<f32>,
     /// Of the depth, along x and y.
     slopes: [Vec<f32>; 2],
@@ -73,7 +85,7 @@ struct Prepared<'a> {
 impl<'a> Prepared<'a> {
     fn new(picture: &'a Picture) -> Self {
         let (width, height, count) = (picture.width, picture.height(), picture.depth.len());
-        let counts = |i: usize| if picture.albedo.iter().all(|plane| plane[i] == 0.0) { 0.0 } else { 1.0 };
+        let counts = |i: usize| if picture.keeps(i) { 0.0 } else { 1.0 };
         let irradiance = |c: usize| (0..count).map(|i| picture.radiance[c][i] / albedo(picture, c, i)).collect();
         Self {
             irradiance: [0, 1, 2].map(irradiance),
