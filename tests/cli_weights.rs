@@ -34,6 +34,46 @@ fn conversion_to_tza_and_back_keeps_all_bits() {
     assert_eq!(cli.bytes("i.tza"), cli.bytes("h.tza"));
 }
 
+/// The weights shipped with limpid are found by name; a file of that name is `./NAME`.
+#[test]
+fn shipped_weights_have_names() {
+    let cli = Cli::new();
+    for name in ["seed", "base"] {
+        let info = cli.json(&["weights", "info", name, "--json"]);
+        assert_eq!(info["architecture"], name);
+        let file = format!("{name}.safetensors");
+        std::fs::copy(format!("{}/weights/{file}", env!("CARGO_MANIFEST_DIR")), cli.path(&file)).unwrap();
+        cli.ok(&[
+            "render",
+            "spheres:3",
+            "-o",
+            "a.exr",
+            "--size",
+            "32x32",
+            "--spp",
+            "1",
+            "--denoise",
+            "--weights",
+            name,
+        ]);
+        cli.ok(&[
+            "render",
+            "spheres:3",
+            "-o",
+            "b.exr",
+            "--size",
+            "32x32",
+            "--spp",
+            "1",
+            "--denoise",
+            "--weights",
+            &file,
+        ]);
+        assert_eq!(cli.bytes("a.exr"), cli.bytes("b.exr"), "{name}");
+    }
+    cli.fails(&["weights", "info", "./seed"], 2, &["./seed"]);
+}
+
 #[test]
 fn what_cannot_be_converted() {
     let cli = Cli::new();

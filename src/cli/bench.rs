@@ -5,6 +5,7 @@ use super::render::parse_size;
 use super::report;
 use clap::{Subcommand, ValueEnum};
 use limpid::bench::{self, Row, Values};
+use limpid::denoise::weights_of;
 use limpid::gpu::Gpu;
 use limpid::kernels::Choice;
 use limpid::kernels::check::Purpose;
@@ -80,8 +81,8 @@ struct Common {
     /// Network architecture
     #[arg(long, default_value = "seed", conflicts_with = "weights")]
     arch: String,
-    /// Weights instead of random ones
-    #[arg(long, value_name = "FILE.safetensors")]
+    /// Weights instead of random ones: `seed` or `base`, those shipped with limpid, or a safetensors file
+    #[arg(long, value_name = "NAME|FILE")]
     weights: Option<PathBuf>,
     /// Timed runs
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -98,7 +99,7 @@ struct Common {
 impl Common {
     fn weights(&self) -> Result<Weights> {
         match &self.weights {
-            Some(path) => Weights::load(path),
+            Some(path) => weights_of(path),
             None => Ok(Weights::glorot(&Architecture::named(&self.arch)?, 0)),
         }
     }

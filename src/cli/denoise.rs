@@ -31,8 +31,8 @@ pub struct Args {
     /// EXR file to write
     #[arg(short, long, value_name = "OUT.exr")]
     output: PathBuf,
-    /// Weights, a safetensors file [default: those shipped with limpid]
-    #[arg(long, value_name = "FILE")]
+    /// Weights: `seed` or `base`, those shipped with limpid, or a safetensors file [default: seed]
+    #[arg(long, value_name = "NAME|FILE")]
     weights: Option<PathBuf>,
     /// Brightness of the PNG files only, in EV
     #[arg(long, value_name = "EV", default_value = "0", allow_negative_numbers = true, value_parser = parse_exposure)]

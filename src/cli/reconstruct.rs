@@ -3,7 +3,7 @@
 use super::device::KernelArgs;
 use super::tile::Cut;
 use limpid::denoise::{
-    Choice, Denoiser, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, embedded_weights,
+    Choice, Denoiser, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, embedded_weights, weights_of,
 };
 use limpid::gpu::{Gpu, Slice, Timings};
 use limpid::image::{Image, Rgb};
@@ -39,7 +39,7 @@ impl Reconstruction {
     /// Loads the weights of a file, or those that limpid was shipped with.
     pub fn load(file: Option<&Path>, cut: Cut) -> Result<Self> {
         let name = file.map_or_else(|| "embedded".to_owned(), |file| file.display().to_string());
-        let weights = file.map_or_else(embedded_weights, Weights::load)?;
+        let weights = file.map_or_else(embedded_weights, weights_of)?;
         let inputs = Preparation::of_weights(&weights, &name)?.inputs;
         let sha256 = Sha256::digest(weights.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
         Ok(Self { name, weights, inputs, sha256, cut, kernels: None, choice: None, made: None })

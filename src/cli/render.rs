@@ -62,8 +62,8 @@ pub struct Args {
     /// Reconstruct the picture with the autoencoder
     #[arg(long)]
     pub denoise: bool,
-    /// Weights, a safetensors file [default: those shipped with limpid]
-    #[arg(long, value_name = "FILE", requires = "denoise")]
+    /// Weights: `seed` or `base`, those shipped with limpid, or a safetensors file [default: seed]
+    #[arg(long, value_name = "NAME|FILE", requires = "denoise")]
     pub weights: Option<PathBuf>,
     #[command(flatten)]
     pub tiles: TileArgs,

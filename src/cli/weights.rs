@@ -2,7 +2,7 @@
 
 use super::report;
 use clap::{Subcommand, ValueEnum};
-use limpid::denoise::{Preparation, embedded_weights};
+use limpid::denoise::{Preparation, embedded_names, embedded_weights, weights_of};
 use limpid::image::file::{writable, write_atomically};
 use limpid::net::tza::{self, Precision};
 use limpid::net::weights::{self, Weights};
@@ -36,8 +36,8 @@ enum What {
     },
     /// Print architecture, parameters, cost and metadata
     Info {
-        /// A .safetensors or .tza file [default: the weights shipped with limpid]
-        #[arg(value_name = "FILE")]
+        /// `seed` or `base`, those shipped with limpid, or a .safetensors or .tza file [default: seed]
+        #[arg(value_name = "NAME|FILE")]
         file: Option<PathBuf>,
         /// Print one JSON object
         #[arg(long)]
@@ -109,8 +109,11 @@ fn convert(input: &Path, output: &Path, precision: PrecisionName) -> Result<()> 
     write_atomically(output, |out| out.write_all(&bytes).map_err(|e| Error::io(output, e)))
 }
 
-/// Weights of either format.
+/// Weights of either format, or those shipped with limpid.
 fn load(path: &Path) -> Result<Weights> {
+    if embedded_names().any(|name| path.as_os_str() == name) {
+        return weights_of(path);
+    }
     match Format::of(path)? {
         Format::Safetensors => Weights::load(path),
         Format::Tza => {

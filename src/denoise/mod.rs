@@ -22,13 +22,32 @@ use crate::net::kernel::Family;
 use crate::net::weights::Weights;
 use crate::{Error, Result};
 use network::Network;
+use std::path::Path;
 
-/// The weights that are part of the program.
-const EMBEDDED: &[u8] = include_bytes!("../../weights/seed.safetensors");
+/// The weights that are part of the program, by name; the first are the default.
+const EMBEDDED: [(&str, &[u8]); 2] = [
+    ("seed", include_bytes!("../../weights/seed.safetensors")),
+    ("base", include_bytes!("../../weights/base.safetensors")),
+];
 
-/// The weights that limpid was shipped with.
+/// The names of the weights that limpid was shipped with, the default first.
+pub fn embedded_names() -> impl Iterator<Item = &'static str> {
+    EMBEDDED.iter().map(|(name, _)| *name)
+}
+
+/// The default weights.
 pub fn embedded_weights() -> Result<Weights> {
-    Weights::from_bytes(EMBEDDED, "embedded weights", None)
+    let (name, bytes) = EMBEDDED[0];
+    Weights::from_bytes(bytes, name, None)
+}
+
+/// The weights that limpid was shipped with by this name, or those of the safetensors file at this path. A file that has
+/// such a name is `./NAME`.
+pub fn weights_of(path: &Path) -> Result<Weights> {
+    match EMBEDDED.iter().find(|(name, _)| path.as_os_str() == *name) {
+        Some((name, bytes)) => Weights::from_bytes(bytes, name, None),
+        None => Weights::load(path),
+    }
 }
 
 /// A network made ready for frames of one size that lie on the device, each reconstructed as a whole.
