@@ -43,32 +43,10 @@ fn shipped_weights_have_names() {
         assert_eq!(info["architecture"], name);
         let file = format!("{name}.safetensors");
         std::fs::copy(format!("{}/weights/{file}", env!("CARGO_MANIFEST_DIR")), cli.path(&file)).unwrap();
-        cli.ok(&[
-            "render",
-            "spheres:3",
-            "-o",
-            "a.exr",
-            "--size",
-            "32x32",
-            "--spp",
-            "1",
-            "--denoise",
-            "--weights",
-            name,
-        ]);
-        cli.ok(&[
-            "render",
-            "spheres:3",
-            "-o",
-            "b.exr",
-            "--size",
-            "32x32",
-            "--spp",
-            "1",
-            "--denoise",
-            "--weights",
-            &file,
-        ]);
+        for (output, weights) in [("a.exr", name), ("b.exr", &file)] {
+            let picture = ["render", "spheres:3", "-o", output, "--size", "32x32", "--spp", "1"];
+            cli.ok(&[&picture[..], &["--denoise", "--weights", weights]].concat());
+        }
         assert_eq!(cli.bytes("a.exr"), cli.bytes("b.exr"), "{name}");
     }
     cli.fails(&["weights", "info", "./seed"], 2, &["./seed"]);

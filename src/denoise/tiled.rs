@@ -38,7 +38,6 @@ fn add(sum: &mut Timings, part: &Timings) {
     sum.submitted = sum.submitted.or(part.submitted);
     sum.device_ms += part.device_ms;
     sum.wall_ms += part.wall_ms;
-    sum.submitted = sum.submitted.or(part.submitted);
 }
 
 impl TiledDenoiser {

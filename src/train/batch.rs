@@ -1,6 +1,6 @@
 //! Chunks of pictures in host memory as batches on the device.
 
-use super::data::TargetPush;
+use super::data::record_target;
 use super::dataset::{Frames, Picture};
 use super::split::Chunk;
 use crate::denoise::{Crop, Frame, Guides, OutputPush, Preparation, record_input};
@@ -89,21 +89,8 @@ impl Batch {
         let frame = Frame { radiance: &radiance, guides: &guides, stats: &stats, size: (side, side) };
         let crop = Crop { x: 0, y: 0, width: side, height: side, orientation: 0 };
         record_input(&self.gpu, rec, preparation.transfer, &frame, crop, &self.part(input, i))?;
-        let spec = shaders::network_target::Spec { transfer: preparation.transfer.id() };
-        let kernel = self.gpu.kernel::<shaders::network_target::Shader>(&spec)?;
-        let push = TargetPush {
-            count: side * side,
-            width: side as i32,
-            crop_width: side as i32,
-            crop_height: side as i32,
-            x0: 0,
-            y0: 0,
-            orientation: 0,
-        };
-        let radiance = self.part(&self.reference.all(), i);
-        let bind = shaders::network_target::Bind { radiance, stats, y: self.part(target, i) };
-        rec.dispatch(&kernel, &bind, &push, groups(u64::from(push.count)));
-        Ok(())
+        let reference = self.part(&self.reference.all(), i);
+        record_target(&self.gpu, rec, preparation.transfer, (&reference, &stats, side), crop, self.part(target, i))
     }
 
     fn record_reconstruct(&self, rec: &mut Recorder, preparation: Preparation, i: u32, output: &Slice) -> Result<()> {

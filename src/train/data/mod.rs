@@ -7,7 +7,7 @@ mod settings;
 
 pub use settings::{DataSettings, Part, Scenes};
 
-use crate::denoise::{Axes, Crop, Frame, FrameStats, Guides, Inputs, Preparation, record_input};
+use crate::denoise::{Axes, Crop, Frame, FrameStats, Guides, Inputs, Preparation, Transfer, record_input};
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
 use crate::net::device::{DeviceTensor, groups};
 use crate::net::tensor::hash;
@@ -222,29 +222,37 @@ impl Data {
             let size = (s.window, s.window);
             let frame = Frame { radiance: &noisy.radiance, guides: &noisy.guides, stats: &example.stats, size };
             record_input(&self.gpu, &mut rec, self.preparation.transfer, &frame, crop, &part(input))?;
-            self.record_target(&mut rec, example, crop, part(target))?;
+            let reference = (&example.reference, &example.stats, s.window);
+            record_target(&self.gpu, &mut rec, self.preparation.transfer, reference, crop, part(target))?;
         }
         rec.finish()?.run()?;
         Ok(())
     }
+}
 
-    fn record_target(&self, rec: &mut Recorder, example: &Example, crop: Crop, y: Slice) -> Result<()> {
-        let transfer = self.preparation.transfer.id();
-        let kernel = self.gpu.kernel::<shaders::network_target::Shader>(&shaders::network_target::Spec { transfer })?;
-        let push = TargetPush {
-            count: crop.width * crop.height,
-            width: self.settings.window as i32,
-            crop_width: crop.width as i32,
-            crop_height: crop.height as i32,
-            x0: crop.x as i32,
-            y0: crop.y as i32,
-            orientation: crop.orientation,
-        };
-        let bind =
-            shaders::network_target::Bind { radiance: example.reference.clone(), stats: example.stats.clone(), y };
-        rec.dispatch(&kernel, &bind, &push, groups(u64::from(push.count)));
-        Ok(())
-    }
+/// Records the target of one crop: what the network should give for `radiance`, the reference in rows of `width` pixels.
+pub(super) fn record_target(
+    gpu: &Gpu,
+    rec: &mut Recorder,
+    transfer: Transfer,
+    (radiance, stats, width): (&Slice, &Slice, u32),
+    crop: Crop,
+    y: Slice,
+) -> Result<()> {
+    let spec = shaders::network_target::Spec { transfer: transfer.id() };
+    let kernel = gpu.kernel::<shaders::network_target::Shader>(&spec)?;
+    let push = TargetPush {
+        count: crop.width * crop.height,
+        width: width as i32,
+        crop_width: crop.width as i32,
+        crop_height: crop.height as i32,
+        x0: crop.x as i32,
+        y0: crop.y as i32,
+        orientation: crop.orientation,
+    };
+    let bind = shaders::network_target::Bind { radiance: radiance.clone(), stats: stats.clone(), y };
+    rec.dispatch(&kernel, &bind, &push, groups(u64::from(push.count)));
+    Ok(())
 }
 
 fn copy(gpu: &Gpu, pairs: &[(&Slice, &Slice)]) -> Result<()> {
