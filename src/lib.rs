@@ -9,6 +9,7 @@ pub mod gpu;
 pub mod image;
 pub mod kernels;
 pub mod metrics;
+mod named;
 pub mod net;
 pub mod render;
 pub mod scene;

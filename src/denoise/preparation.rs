@@ -1,9 +1,11 @@
 //! What weights expect: which channels their network reads, and how radiance becomes its numbers and back.
 
+use crate::named::named;
 use crate::net::architecture::Architecture;
 use crate::net::weights::Weights;
 use crate::shared_constants::{TRANSFER_LOG1P, TRANSFER_PU};
 use crate::{Error, Result};
+use std::fmt::Display;
 
 /// The channels that a network reads of a frame, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,18 +19,6 @@ pub enum Inputs {
 impl Inputs {
     /// The metadata key.
     pub const KEY: &str = "inputs";
-    /// All of them.
-    pub const ALL: [Self; 2] = [Self::NormalScreenDepth, Self::AlbedoNormal];
-
-    /// The metadata value.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::NormalScreenDepth => "radiance,normal_screen.xy,depth",
-            Self::AlbedoNormal => "radiance,albedo,normal",
-        }
-    }
-
     /// The planes of a frame that hold them, radiance first, four floats a pixel each: what [`crate::render::Outputs`] calls
     /// so, and of what channels of a file each is made.
     #[must_use]
@@ -53,6 +43,13 @@ impl Inputs {
     }
 }
 
+named!(
+    Inputs,
+    "inputs",
+    NormalScreenDepth = "radiance,normal_screen.xy,depth",
+    AlbedoNormal = "radiance,albedo,normal",
+);
+
 /// How radiance becomes the network's numbers, and back; the exposure belongs to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transfer {
@@ -66,18 +63,6 @@ pub enum Transfer {
 impl Transfer {
     /// The metadata key.
     pub const KEY: &str = "transfer";
-    /// All of them.
-    pub const ALL: [Self; 2] = [Self::Log1p, Self::Pu];
-
-    /// The metadata value.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Log1p => "log1p",
-            Self::Pu => "pu",
-        }
-    }
-
     /// The shaders' number of it.
     #[must_use]
     pub const fn id(self) -> u32 {
@@ -87,6 +72,8 @@ impl Transfer {
         }
     }
 }
+
+named!(Transfer, "transfer", Log1p = "log1p", Pu = "pu");
 
 /// What is done to a frame before and after the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,8 +101,8 @@ impl Preparation {
 
     /// What the metadata of weights ask for; `file` names these in errors.
     pub fn of_weights(weights: &Weights, file: &str) -> Result<Self> {
-        let inputs = choose(weights, file, Inputs::KEY, Inputs::ALL.map(|inputs| (inputs.name(), inputs)))?;
-        let transfer = choose(weights, file, Transfer::KEY, Transfer::ALL.map(|transfer| (transfer.name(), transfer)))?;
+        let inputs = choose(weights, file, Inputs::KEY, &Inputs::ALL)?;
+        let transfer = choose(weights, file, Transfer::KEY, &Transfer::ALL)?;
         let (made, read) = (inputs.channels(), weights.architecture.input_channels());
         if made != read {
             return Err(Error::input(format!(
@@ -137,11 +124,11 @@ impl Preparation {
 }
 
 /// The value of a metadata key, which must be one of `known`.
-fn choose<T: Copy, const N: usize>(weights: &Weights, file: &str, key: &str, known: [(&str, T); N]) -> Result<T> {
+fn choose<T: Copy + Display>(weights: &Weights, file: &str, key: &str, known: &[T]) -> Result<T> {
     let found = weights.metadata.get(key).map_or("none", String::as_str);
-    if let Some((_, value)) = known.iter().find(|(name, _)| *name == found) {
+    if let Some(value) = known.iter().find(|value| value.to_string() == found) {
         return Ok(*value);
     }
-    let expected = known.map(|(name, _)| format!("`{name}`")).join(" or ");
+    let expected = known.iter().map(|value| format!("`{value}`")).collect::<Vec<_>>().join(" or ");
     Err(Error::input(format!("{file}: metadata `{key}`: expected {expected}, found `{found}`")))
 }

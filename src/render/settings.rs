@@ -1,8 +1,6 @@
 //! What the caller may choose.
 
-use std::fmt;
-use std::str::FromStr;
-
+use crate::named::named;
 use crate::{Error, Result};
 
 /// How light is found.
@@ -79,44 +77,6 @@ impl Settings {
     }
 }
 
-impl fmt::Display for Estimator {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Uniform => "uniform",
-            Self::Cosine => "cosine",
-            Self::Nee => "nee",
-        })
-    }
-}
+named!(Estimator, "estimator", Uniform = "uniform", Cosine = "cosine", Nee = "nee");
 
-impl FromStr for Estimator {
-    type Err = Error;
-    fn from_str(s: &str) -> Result<Self> {
-        match s {
-            "uniform" => Ok(Self::Uniform),
-            "cosine" => Ok(Self::Cosine),
-            "nee" => Ok(Self::Nee),
-            _ => Err(Error::input(format!("estimator `{s}`: one of uniform, cosine, nee"))),
-        }
-    }
-}
-
-impl fmt::Display for Sampler {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Pcg => "pcg",
-            Self::Sobol => "sobol",
-        })
-    }
-}
-
-impl FromStr for Sampler {
-    type Err = Error;
-    fn from_str(s: &str) -> Result<Self> {
-        match s {
-            "pcg" => Ok(Self::Pcg),
-            "sobol" => Ok(Self::Sobol),
-            _ => Err(Error::input(format!("sampler `{s}`: one of pcg, sobol"))),
-        }
-    }
-}
+named!(Sampler, "sampler", Pcg = "pcg", Sobol = "sobol");

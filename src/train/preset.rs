@@ -3,10 +3,9 @@
 use super::data::DataSettings;
 use super::dataset::{Manifest, NOISY_VERSIONS};
 use super::split::{Sides, Split, chunks};
-use crate::{Error, Result};
+use crate::Result;
+use crate::named::named;
 use serde::{Deserialize, Serialize};
-use std::fmt;
-use std::str::FromStr;
 
 /// Where the examples come from, and what goes with it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,25 +26,7 @@ pub const PAPER_EPOCHS: u64 = 20;
 /// Epochs between the paper's checkpoints.
 pub const PAPER_CHECKPOINT_EPOCHS: u64 = 20;
 
-impl fmt::Display for Preset {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Fresh => "fresh",
-            Self::Paper => "paper",
-        })
-    }
-}
-
-impl FromStr for Preset {
-    type Err = Error;
-    fn from_str(s: &str) -> Result<Self> {
-        match s {
-            "fresh" => Ok(Self::Fresh),
-            "paper" => Ok(Self::Paper),
-            _ => Err(Error::input(format!("preset `{s}`: one of fresh, paper"))),
-        }
-    }
-}
+named!(Preset, "preset", Fresh = "fresh", Paper = "paper");
 
 /// What a run on a data set sees.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

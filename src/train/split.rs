@@ -1,10 +1,9 @@
 //! The chunks of a data set: which are held out, and the order of the rest.
 
+use crate::named::named;
 use crate::net::tensor::{hash, seed_of};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
-use std::fmt;
-use std::str::FromStr;
 
 /// What is held out of training: a tenth, and at least one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -16,25 +15,7 @@ pub enum Split {
     Chunk,
 }
 
-impl fmt::Display for Split {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Scene => "scene",
-            Self::Chunk => "chunk",
-        })
-    }
-}
-
-impl FromStr for Split {
-    type Err = Error;
-    fn from_str(s: &str) -> Result<Self> {
-        match s {
-            "scene" => Ok(Self::Scene),
-            "chunk" => Ok(Self::Chunk),
-            _ => Err(Error::input(format!("split `{s}`: one of scene, chunk"))),
-        }
-    }
-}
+named!(Split, "split", Scene = "scene", Chunk = "chunk");
 
 /// A part of a noisy picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

@@ -1,6 +1,7 @@
 //! What a training run sees: scenes, noise, crop sizes.
 
 use super::{Stream, draws};
+use crate::named::named;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -15,17 +16,7 @@ pub enum Scenes {
     Mixed,
 }
 
-impl std::str::FromStr for Scenes {
-    type Err = Error;
-
-    fn from_str(name: &str) -> Result<Self> {
-        match name {
-            "spheres" => Ok(Self::Spheres),
-            "mixed" => Ok(Self::Mixed),
-            _ => Err(Error::input(format!("scenes `{name}`: one of spheres, mixed"))),
-        }
-    }
-}
+named!(Scenes, "scenes", Spheres = "spheres", Mixed = "mixed");
 
 /// Whether scenes are for training or held out from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
