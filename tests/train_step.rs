@@ -96,15 +96,15 @@ struct AdamOracle {
 }
 
 impl AdamOracle {
-    fn new(adam: Adam, parameters: &[f32]) -> Self {
-        let count = parameters.len();
-        Self { adam, state: ReferenceState::new(count), parameters: to_f64(parameters), bound: vec![0.0; count] }
+    fn new(adam: Adam, weights: &Weights) -> Self {
+        let state = ReferenceState::new(&weights.architecture.parameter_scales());
+        Self { adam, state, parameters: weights.to_f64(), bound: vec![0.0; weights.parameters.len()] }
     }
 
     fn require_step(&mut self, gradient: &[f32], parameters: &[f32]) {
         self.adam.reference(&mut self.state, &mut self.parameters, &to_f64(gradient));
-        for (bound, p) in self.bound.iter_mut().zip(&self.parameters) {
-            *bound += ROUNDING * (p.abs() + 3.0 * 16.0 * self.adam.learning_rate);
+        for ((bound, p), scale) in self.bound.iter_mut().zip(&self.parameters).zip(&self.state.scales) {
+            *bound += ROUNDING * (p.abs() + 3.0 * 16.0 * scale * self.adam.learning_rate);
         }
         let what = format!("parameters after step {}", self.state.step);
         require(&what, within(parameters, &self.parameters, &self.bound));
@@ -114,7 +114,7 @@ impl AdamOracle {
 fn three_steps(architecture: &Architecture, size: [usize; 3]) {
     let (gpu, weights, adam) = (gpu(), weights(architecture), Adam::default());
     for family in families(gpu.info()) {
-        let mut oracle = AdamOracle::new(adam, &weights.parameters);
+        let mut oracle = AdamOracle::new(adam, &weights);
         let mut parameters = weights.parameters.clone();
         let batches = [0, 1, 2].map(|i| batch(architecture, size, &format!("steps/{i}")));
         let mut step = step_for(&gpu, family, &weights, &batches[0], adam);
@@ -157,7 +157,7 @@ fn three_steps_follow_the_reference() {
     let batches = [0, 1, 2].map(|i| batch(&architecture, [2, 16, 16], &format!("trajectory/{i}")));
     for family in f32_families(gpu.info()) {
         let mut step = step_for(&gpu, family, &weights, &batches[0], adam);
-        let mut state = ReferenceState::new(weights.parameters.len());
+        let mut state = ReferenceState::new(&architecture.parameter_scales());
         let mut expected = weights.to_f64();
         for batch in &batches {
             take(&gpu, &mut step, batch, &adam);

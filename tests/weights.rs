@@ -128,33 +128,60 @@ fn initial_weights_of_base_give_the_radiance_back() {
     for c in 0..3 {
         assert_eq!(output.plane(0, c), input.plane(0, c), "channel {c}");
     }
-    let seed = Architecture::seed();
-    assert_eq!(Weights::initial(&seed, 5), Weights::glorot(&seed, 5));
+}
+
+/// Weights of a tensor with zero biases, uniform to `limit`: five standard errors of the mean (variance 1/3) and of the mean
+/// square (variance 4/45) of a uniform variable.
+fn require_uniform(name: &str, values: &[f32], limit: f64) {
+    let moment = |power: i32| values.iter().map(|&v| (f64::from(v) / limit).powi(power)).sum::<f64>();
+    let count = values.len() as f64;
+    assert!(moment(1).abs() / count < 5.0 * (1.0 / 3.0 / count).sqrt(), "{name}");
+    assert!((moment(2) / count - 1.0 / 3.0).abs() < 5.0 * (4.0 / 45.0 / count).sqrt(), "{name}");
+    assert!(values.iter().all(|&v| f64::from(v).abs() <= limit * (1.0 + 1e-7)), "{name}");
 }
 
 #[test]
-fn glorot_is_uniform_within_its_limit_and_differs_by_seed_and_tensor() {
+fn random_weights_are_uniform_within_their_limit_and_differ_by_seed_and_tensor() {
+    type Make = fn(&Architecture, u64) -> Weights;
+    let glorot = |cin: usize, cout: usize, _: bool| 6.0 / (cin + cout) as f64;
+    let he = |cin: usize, _: usize, last: bool| if last { 3.0 } else { 6.0 / (1.0 + 0.1f64.powi(2)) } / cin as f64;
     let seed = Architecture::seed();
-    let weights = Weights::glorot(&seed, 1);
-    assert_eq!(weights, Weights::glorot(&seed, 1));
-    for spec in seed.tensors() {
-        let values = &weights.parameters[spec.range.clone()];
-        let [cout, cin, ..] = spec.shape[..] else {
-            assert!(values.iter().all(|&v| v == 0.0), "{}", spec.name);
-            continue;
-        };
-        let limit = (6.0 / (9 * (cin + cout)) as f64).sqrt();
-        let moment = |power: i32| values.iter().map(|&v| (f64::from(v) / limit).powi(power)).sum::<f64>();
-        let count = values.len() as f64;
-        // Five standard errors of the mean (variance 1/3) and of the mean square (variance 4/45) of a uniform variable.
-        assert!(moment(1).abs() / count < 5.0 * (1.0 / 3.0 / count).sqrt(), "{}", spec.name);
-        assert!((moment(2) / count - 1.0 / 3.0).abs() < 5.0 * (4.0 / 45.0 / count).sqrt(), "{}", spec.name);
-        assert!(values.iter().all(|&v| f64::from(v).abs() <= limit * (1.0 + 1e-7)), "{}", spec.name);
-        assert_ne!(values, &Weights::glorot(&seed, 2).parameters[spec.range], "{}", spec.name);
+    for (make, square) in [
+        (Weights::glorot as Make, &glorot as &dyn Fn(usize, usize, bool) -> f64),
+        (Weights::initial as Make, &he as &dyn Fn(usize, usize, bool) -> f64),
+    ] {
+        let weights = make(&seed, 1);
+        assert_eq!(weights, make(&seed, 1));
+        for spec in seed.tensors() {
+            let values = &weights.parameters[spec.range.clone()];
+            let [cout, cin, ..] = spec.shape[..] else {
+                assert!(values.iter().all(|&v| v == 0.0), "{}", spec.name);
+                continue;
+            };
+            require_uniform(&spec.name, values, (square(cin, cout, spec.name == "out_conv.weight") / 9.0).sqrt());
+            assert_ne!(values, &make(&seed, 2).parameters[spec.range], "{}", spec.name);
+        }
+        // Tensors of one shape have their own streams.
+        let scale = |name: &str| weights.tensor(name).unwrap()[..8].to_vec();
+        assert_ne!(scale("dec_conv2b.weight"), scale("enc_conv1b.weight"));
     }
-    // Tensors of one shape have their own streams.
-    let scale = |name: &str| weights.tensor(name).unwrap()[..8].to_vec();
-    assert_ne!(scale("dec_conv2b.weight"), scale("enc_conv1b.weight"));
+}
+
+/// A `base` whose every parameter is divided by its scale is the same function of radiance in units four times as large:
+/// powers of two, so to the bit.
+#[test]
+fn parameter_scales_of_base_count_radiance_in_larger_units() {
+    let architecture = Architecture::named("base:16,32,16,32,48,48,32,16,48,48,16").unwrap();
+    let scales: Vec<f64> = architecture.parameter_scales().iter().copied().map(f64::from).collect();
+    let parameters = Weights::glorot(&architecture, 5).to_f64();
+    let unscaled: Vec<f64> = parameters.iter().zip(&scales).map(|(p, s)| p / s).collect();
+    let input = Tensor::<f32>::uniform([1, 9, 16, 32], 3).to_f64();
+    let mut larger = input.clone();
+    larger.data[..3 * 16 * 32].iter_mut().for_each(|v| *v *= 4.0);
+    let output = reference::forward(&architecture, &parameters, &input).pop().unwrap();
+    let expected = reference::forward(&architecture, &unscaled, &larger).pop().unwrap();
+    assert_eq!(output.data.iter().map(|v| v * 4.0).collect::<Vec<_>>(), expected.data);
+    assert_eq!(Architecture::seed().parameter_scales(), vec![1.0; Architecture::seed().parameter_count()]);
 }
 
 #[test]

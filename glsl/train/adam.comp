@@ -12,6 +12,8 @@ layout(set = 0, binding = 3, std430) buffer FirstMoment { vec4 first_moment[]; }
 layout(set = 0, binding = 4, std430) buffer SecondMoment { vec4 second_moment[]; };
 layout(set = 0, binding = 5, std430) readonly buffer Skip { uint skip[]; };  // not 0: everything stays as it is
 
+layout(set = 0, binding = 6, rgba32f) readonly uniform imageBuffer scale;  // factor of the learning rate
+
 layout(push_constant) uniform Push {
     uint count;
     float beta1;
@@ -27,5 +29,5 @@ void main() {
     const vec4 v = beta2 * second_moment[index] + (1.0 - beta2) * g * g;
     first_moment[index] = m;
     second_moment[index] = v;
-    parameter[index] -= step_factors[0] * m / (sqrt(v) * step_factors[1] + epsilon);
+    parameter[index] -= imageLoad(scale, int(index)) * step_factors[0] * m / (sqrt(v) * step_factors[1] + epsilon);
 }

@@ -241,6 +241,19 @@ impl Architecture {
         self.nodes.iter().filter_map(|node| node.parameters.as_ref()).map(|p| p.bias.end).max().unwrap_or(0)
     }
 
+    /// For every parameter, how large it is beside others in training: the factor of its initial value and of its learning
+    /// rate. 1 but in `base`, where what reads radiance has 4 and what gives it 1/4.
+    #[must_use]
+    pub fn parameter_scales(&self) -> Vec<f32> {
+        let mut scales = vec![1.0; self.parameter_count()];
+        if self.name == "base" {
+            for TensorSpec { name, shape, range } in self.tensors() {
+                super::base::training_scales(&name, &shape, &mut scales[range]);
+            }
+        }
+        scales
+    }
+
     /// Multiply-accumulates of one forward pass, for each pixel of the input.
     pub fn macs_per_pixel(&self) -> f64 {
         let weights = |node: &Node| node.parameters.as_ref().map_or(0, |p| p.weight.len()) as f64;

@@ -67,6 +67,24 @@ pub(super) fn pass_radiance(tensor: &str, shape: &[usize], weights: &mut [f32]) 
     }
 }
 
+/// Training treats the network as one of radiance in units this many times as large: a power of two, so that no bit is lost.
+/// The transfer `pu` makes small numbers of common radiance (0.1 to 0.4, noise in the second decimal), beside which Adam's
+/// steps of equal size are large.
+const TRAINING_GAIN: f32 = 4.0;
+
+/// [`Architecture::parameter_scales`] of one tensor.
+pub(super) fn training_scales(tensor: &str, shape: &[usize], scales: &mut [f32]) {
+    let first = match tensor {
+        "enc_conv0.weight" => 0,
+        "dec_conv1a.weight" => shape[1] - INPUT_CHANNELS,
+        "dec_conv0.weight" | "dec_conv0.bias" => return scales.fill(1.0 / TRAINING_GAIN),
+        _ => return,
+    };
+    for output in scales.chunks_mut(shape[1] * 9) {
+        output[first * 9..(first + RADIANCE) * 9].fill(TRAINING_GAIN);
+    }
+}
+
 const MULTIPLE: usize = 16;
 const LARGEST: usize = 1024;
 

@@ -1,6 +1,6 @@
 //! Weights: safetensors files, their validation, and the initial weights of training.
 
-use super::architecture::{Architecture, NAMES, TensorSpec};
+use super::architecture::{Architecture, NAMES, Op, TensorSpec};
 use super::base::Widths;
 use super::tensor::{hash, seed_of, uniform};
 use crate::image::file::write_atomically;
@@ -30,30 +30,43 @@ impl Weights {
     /// Glorot-uniform weights and zero biases: element `i` of a tensor is `limit * (2 * uniform(s, i) - 1)` with
     /// `limit = sqrt(6 / (9 * (Cin + Cout)))` and `s = hash(seed, seed_of(NAME))`. Always the same for a seed.
     pub fn glorot(architecture: &Architecture, seed: u64) -> Self {
-        let mut parameters = vec![0.0; architecture.parameter_count()];
-        for TensorSpec { name, shape, range } in architecture.tensors() {
-            if let [cout, cin, height, width] = shape[..] {
-                let limit = (6.0 / (height * width * (cin + cout)) as f64).sqrt();
-                let stream = hash(seed, seed_of(&name));
-                for (i, value) in parameters[range].iter_mut().enumerate() {
-                    *value = (limit * (2.0 * uniform(stream, i as u64) - 1.0)) as f32;
-                }
-            }
-        }
-        Self { architecture: architecture.clone(), parameters, metadata: BTreeMap::new() }
+        Self::uniform(architecture, seed, |cin, cout, _| 6.0 / (cin + cout) as f64)
     }
 
-    /// What training begins with: [`Self::glorot`], but `base` gives its input's radiance back, so that training starts at the
-    /// error of the noisy picture and learns what to change.
+    /// What training begins with: He-uniform weights, which keep the size of the activations from layer to layer (He et al.
+    /// 2015): the limit is `sqrt(6 / (9 * Cin * (1 + slope^2)))`, in linear layers `sqrt(3 / (9 * Cin))`. Smaller ones let the
+    /// deep layers of `base` go silent. But `base` gives its input's radiance back, so that training starts at the error of the
+    /// noisy picture and learns what to change; and its weights are those of [`Architecture::parameter_scales`].
     #[must_use]
     pub fn initial(architecture: &Architecture, seed: u64) -> Self {
-        let mut weights = Self::glorot(architecture, seed);
+        let mut weights = Self::uniform(architecture, seed, |cin, _, slope| match slope {
+            Some(slope) => 6.0 / (cin as f64 * (1.0 + f64::from(slope).powi(2))),
+            None => 3.0 / cin as f64,
+        });
         if architecture.name() == "base" {
             for TensorSpec { name, shape, range } in architecture.tensors() {
                 super::base::pass_radiance(&name, &shape, &mut weights.parameters[range]);
             }
         }
+        for (parameter, scale) in weights.parameters.iter_mut().zip(architecture.parameter_scales()) {
+            *parameter *= scale;
+        }
         weights
+    }
+
+    /// Uniform weights; nine times the square of their limit is `square(Cin, Cout, slope)`.
+    fn uniform(architecture: &Architecture, seed: u64, square: impl Fn(usize, usize, Option<f32>) -> f64) -> Self {
+        let mut parameters = vec![0.0; architecture.parameter_count()];
+        for node in architecture.nodes() {
+            if let (Op::Conv { cin, cout, slope }, Some(of)) = (node.op, &node.parameters) {
+                let limit = (square(cin, cout, slope) / 9.0).sqrt();
+                let stream = hash(seed, seed_of(&format!("{}.weight", node.name)));
+                for (i, value) in parameters[of.weight.clone()].iter_mut().enumerate() {
+                    *value = (limit * (2.0 * uniform(stream, i as u64) - 1.0)) as f32;
+                }
+            }
+        }
+        Self { architecture: architecture.clone(), parameters, metadata: BTreeMap::new() }
     }
 
     /// The weights in a safetensors file, of whichever architecture its metadata names.

@@ -32,7 +32,7 @@ pub struct RunState {
     pub learning_rate: f64,
     /// Length.
     pub length: Length,
-    /// sha256 of the weights the run began with; none for Glorot-uniform ones.
+    /// sha256 of the weights the run began with; none for those of [`crate::net::weights::Weights::initial`].
     pub init: Option<String>,
     /// Steps done.
     pub step: u64,

@@ -64,6 +64,8 @@ pub struct Step {
     mean: Buffer,
     mean_square: Buffer,
     factors: Buffer,
+    /// Factors of the learning rate, by parameter.
+    scales: Buffer,
     adam: Adam,
     /// For kernels with f16.
     loss_scale: Option<LossScale>,
@@ -84,6 +86,8 @@ impl Step {
         let like_parameters = |name| gpu.buffer(name, parameters.flat.bytes());
         let (mean, mean_square) = (like_parameters("Adam mean")?, like_parameters("Adam mean square")?);
         let factors = gpu.buffer("Adam factors", 8)?;
+        let scales = like_parameters("learning rate scales")?;
+        gpu.upload(&scales.all(), &parameters.pad(&weights.architecture.parameter_scales()))?;
         let loss_scale = match family {
             Family::Portable | Family::Cpu { .. } => None,
             Family::Coop(_) => Some(LossScale::new(gpu)?),
@@ -101,6 +105,7 @@ impl Step {
             mean,
             mean_square,
             factors,
+            scales,
             adam,
             loss_scale,
             skip,
@@ -166,6 +171,7 @@ impl Step {
             first_moment: self.mean.all(),
             second_moment: self.mean_square.all(),
             skip: self.skip.all(),
+            scale: self.scales.all(),
         };
         rec.dispatch(&kernel, &bind, &push, groups(u64::from(count)));
         Ok(())
