@@ -1,12 +1,13 @@
 #version 460
-// [n][h][c4][w] in texels of 4 channels -> [n][c][h][ceil(w/4)] in texels of 4 pixels; pixels past the row's end are 0.
+// [n][h][c4][w] in texels of 4 channels -> [n][ceil(w/4)][h][c] in texels of 4 pixels; pixels past the row's end are 0. The result
+// is read down columns of pixels, channels across the lanes: both lie together.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
 
 layout(local_size_x = 64) in;
 
 layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;   // [n][h][c4][w]
-layout(set = 0, binding = 1, std430) writeonly buffer Y { vec4 y[]; };  // [n][c4 * 4][h][w4]
+layout(set = 0, binding = 1, std430) writeonly buffer Y { vec4 y[]; };  // [n][w4][h][c4 * 4]
 
 layout(push_constant) uniform Push {
     uint height;
@@ -29,7 +30,6 @@ void main() {
         const uint px = px4 * 4 + p;
         v[p] = px < width ? imageLoad(x, int((row * c4 + c) * width + px)) : vec4(0.0);
     }
-    for (uint j = 0; j < 4; ++j) {
-        y[((n * c4 * 4 + c * 4 + j) * height + py) * w4 + px4] = vec4(v[0][j], v[1][j], v[2][j], v[3][j]);
-    }
+    const uint at = (((n * w4 + px4) * height + py) * c4 + c) * 4;
+    for (uint j = 0; j < 4; ++j) y[at + j] = vec4(v[0][j], v[1][j], v[2][j], v[3][j]);
 }

@@ -82,7 +82,7 @@ fn split(family: Family, layer: Layer, x: &Shape) -> Split {
     };
     let (parallel, least) = match family {
         Family::Portable => (cin4 * u64::from(co_blocks), MIN_PARALLEL),
-        Family::Cpu { .. } => (cin4.div_ceil(2) * u64::from(co_blocks), MIN_PARALLEL),
+        Family::Cpu { .. } => (cin4.div_ceil(2) * u64::from(co_blocks / co_group(co_blocks)), MIN_PARALLEL),
         Family::Coop(matrices) => (coop::workgroups(matrices, layer), coop::MIN_WORKGROUPS),
     };
     let wanted = match family {
@@ -92,6 +92,11 @@ fn split(family: Family, layer: Layer, x: &Shape) -> Split {
     };
     let splits = iterations.div_ceil(MAX_ITERATIONS).max(wanted).max(least.div_ceil(parallel));
     Split { splits: splits.min(u64::from(most)) as u32, co_blocks }
+}
+
+/// Blocks of output channels that a subgroup of `conv2d_weight_grad_cpu.comp` makes.
+fn co_group(co_blocks: u32) -> u32 {
+    if co_blocks.is_multiple_of(2) { 2 } else { 1 }
 }
 
 /// Bytes of one split's sums.
@@ -157,11 +162,12 @@ pub fn weight_grad(
             let whole = scratch.transposed.as_ref().expect("made for this family");
             let dyt = whole.slice(0, transposed_bytes(layer, &s));
             transpose(gpu, rec, dy, &dyt)?;
-            let spec = shaders::conv2d_weight_grad_cpu::Spec { l: lanes };
+            let group = co_group(co_blocks);
+            let spec = shaders::conv2d_weight_grad_cpu::Spec { l: lanes, group };
             let kernel = gpu.kernel_with_subgroup::<shaders::conv2d_weight_grad_cpu::Shader>(&spec, lanes)?;
             let bind = shaders::conv2d_weight_grad_cpu::Bind { x: x.slice.clone(), dyt, partial: partial.clone() };
             let push = CpuPush { batch: s.n, height: s.h, width: s.w, cin4, cout, co_blocks, splits };
-            let subgroups = cin4.div_ceil(2) * co_blocks * splits;
+            let subgroups = cin4.div_ceil(2) * (co_blocks / group) * splits;
             rec.dispatch(&kernel, &bind, &push, [subgroups.div_ceil(LOCAL / lanes), 1, 1]);
         }
         Family::Coop(matrices) => coop::weight_grad(gpu, rec, matrices, (x, dy), &partial, splits)?,
