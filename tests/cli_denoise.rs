@@ -93,6 +93,26 @@ fn weights_of_other_inputs_are_refused() {
     run("b.safetensors", "smell");
 }
 
+/// Shipped weights go by their names, whatever lies in the folder; a path is always a file.
+#[test]
+fn shipped_weights_go_by_name() {
+    let cli = Cli::new();
+    cli.ok(&["render", "--size", "16x16", "--spp", "1", "-o", "a.exr"]);
+    let described = |weights: &[&str]| -> serde_json::Value {
+        let args = [&["denoise", "a.exr", "-o", "b.exr", "--json"], weights].concat();
+        serde_json::from_str::<serde_json::Value>(&cli.ok(&args)).expect("JSON")["settings"]["weights"].clone()
+    };
+    let base = described(&["--weights", "base"]);
+    assert_eq!((&base["file"], &base["architecture"]), (&"base".into(), &"base".into()));
+    let (seed, default) = (described(&["--weights", "seed"]), described(&[]));
+    assert_eq!((&seed["architecture"], &seed["sha256"]), (&"seed".into(), &default["sha256"]));
+    assert_ne!(seed["sha256"], base["sha256"]);
+    cli.fails(&["denoise", "a.exr", "-o", "b.exr", "--weights", "./base"], 2, &["./base"]);
+    std::fs::copy(cli.path("a.exr"), cli.path("base")).unwrap();
+    assert_eq!(described(&["--weights", "base"]), base);
+    cli.fails(&["denoise", "a.exr", "-o", "b.exr", "--weights", "./base"], 2, &["./base", "safetensors"]);
+}
+
 #[test]
 fn comparisons() {
     let cli = Cli::new();

@@ -5,11 +5,15 @@ mod common;
 
 use cli_support::Cli;
 use common::gpu;
+use limpid::denoise::{Denoiser, Guides, Kernels, Preparation};
 use limpid::gpu::{DeviceOptions, Gpu};
 use limpid::kernels::check::{Part, Purpose, Row, rows};
 use limpid::kernels::{Choice, choose, choose_with};
+use limpid::net::architecture::Architecture;
 use limpid::net::kernel::Family;
+use limpid::net::plan::Plan;
 use limpid::net::tensor::Tensor;
+use limpid::net::weights::Weights;
 use limpid::{Error, Result};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -49,6 +53,34 @@ fn faster(gpu: &Gpu) -> Option<Family> {
 fn files(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).map(|entries| entries.map(|e| e.unwrap().path()).collect::<Vec<_>>());
     entries.unwrap_or_default().into_iter().flat_map(|p| if p.is_dir() { files(&p) } else { vec![p] }).collect()
+}
+
+/// What is asked for before there is a plan is what the plan then uses, and nothing else: the driver makes no kernel twice
+/// and none in vain.
+#[test]
+fn requested_kernels_are_those_of_the_plan() {
+    for (architecture, family) in
+        ["seed", "base"].iter().flat_map(|name| Family::all(gpu().info()).into_iter().map(move |f| (*name, f)))
+    {
+        let gpu = gpu_with(None);
+        let mut weights = Weights::glorot(&Architecture::named(architecture).unwrap(), 0);
+        weights.metadata.extend(Preparation::of_architecture(&weights.architecture).unwrap().metadata());
+        let kernels = Kernels::of(family);
+        Plan::request_kernels(&gpu, &weights.architecture, kernels.family, kernels.fusion).unwrap();
+        let requested = gpu.kernels();
+        if !matches!(family, Family::Cpu { .. }) {
+            assert_eq!(requested, [], "only kernels that take long to make are asked for");
+            continue;
+        }
+        assert!(!requested.is_empty());
+        let denoiser = Denoiser::with_kernels(&gpu, &weights, kernels, (40, 40)).unwrap();
+        let frame = gpu.buffer("frame", 40 * 40 * 16).unwrap().all();
+        let planes = vec![frame.clone(); denoiser.preparation().inputs.planes().len() - 1];
+        denoiser.record(&frame, &Guides::of_planes(denoiser.preparation().inputs, &planes)).unwrap();
+        let convolutions = |(name, _): &(&'static str, Vec<u32>)| *name == "winograd" || name.starts_with("conv2d");
+        let used: Vec<_> = gpu.kernels().into_iter().filter(convolutions).collect();
+        assert_eq!(requested, used, "{architecture}, {}", family.name());
+    }
 }
 
 /// The real kernels pass, under the validation layer.

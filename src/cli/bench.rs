@@ -4,7 +4,8 @@ use super::device::{DeviceArgs, KernelArgs};
 use super::render::parse_size;
 use super::report;
 use clap::{Subcommand, ValueEnum};
-use limpid::bench::{self, Row, Values};
+use limpid::bench::network::{Bench, Row, Values};
+use limpid::bench::peak;
 use limpid::denoise::weights_of;
 use limpid::gpu::Gpu;
 use limpid::kernels::Choice;
@@ -125,10 +126,11 @@ fn time_net(args: &NetArgs, by_layer: bool) -> Result<u8> {
     };
     let padded = |side: u32| architecture.padded(side as usize) as u32;
     let (w, h) = (padded(args.size.0), padded(args.size.1));
+    let bench = Bench { gpu: &gpu, family, weights: &weights, runs: args.common.repeat };
     let (rows, warm_up) = if by_layer {
-        bench::layers(&gpu, family, &weights, (h, w), fusion, args.common.repeat)?
+        bench.layers((h, w), fusion)?
     } else {
-        let (row, warm_up, values) = bench::net(&gpu, family, &weights, (h, w), fusion, args.common.repeat)?;
+        let (row, warm_up, values) = bench.net((h, w), fusion)?;
         if let Some(path) = &args.values {
             write_values(path, &values)?;
         }
@@ -166,7 +168,8 @@ fn time_train(args: &TrainArgs) -> Result<u8> {
     let architecture = &weights.architecture;
     let crop = architecture.padded(args.crop as usize) as u32;
     let choice = args.common.kernels.choose(&gpu, Purpose::Training)?;
-    let (rows, warm_up) = bench::train(&gpu, choice.family, &weights, (args.batch, crop), args.common.repeat)?;
+    let bench = Bench { gpu: &gpu, family: choice.family, weights: &weights, runs: args.common.repeat };
+    let (rows, warm_up) = bench.train((args.batch, crop))?;
     let settings = json!({ "architecture": architecture.name(), "batch": args.batch, "crop": crop });
     finish("bench train", (&gpu, &choice), &args.common, &settings, &rows, warm_up)
 }
@@ -179,7 +182,7 @@ fn finish(
     rows: &[Row],
     warm_up: f64,
 ) -> Result<u8> {
-    let peak = bench::peak(gpu)?;
+    let peak = peak(gpu)?;
     common.device.check(gpu)?;
     let kernels = choice.family.name();
     if common.json {

@@ -169,6 +169,14 @@ impl Gpu {
         self.kernel_of::<S>(spec, Some(size))
     }
 
+    /// Shader and specialization constants of every kernel made or asked for so far, sorted.
+    #[must_use]
+    pub fn kernels(&self) -> Vec<(&'static str, Vec<u32>)> {
+        let mut all: Vec<_> = lock(&self.0.kernels).keys().map(|(name, words, _)| (*name, words.clone())).collect();
+        all.sort();
+        all
+    }
+
     fn kernel_of<S: Shader>(&self, spec: &S::Spec, subgroup: Option<u32>) -> Result<Kernel<S>> {
         let words = spec.words();
         let mut kernels = lock(&self.0.kernels);

@@ -69,11 +69,9 @@ fn flat_bytes(architecture: &Architecture) -> u64 {
     architecture.tensors().iter().map(|t| padded(t.range.len()) as u64 * 4).sum()
 }
 
-/// Bytes of the weights of the convolution `id` as a Winograd convolution reads them; none where no plan reads them.
-fn winograd_bytes(architecture: &Architecture, family: Family, id: NodeId, transposed: bool) -> Option<u64> {
-    let layer = conv_layer(architecture, &node_channels(architecture), id);
-    let fits = winograd::fits(family, layer, architecture.nodes()[id].level);
-    fits.then(|| winograd::weights_bytes(family, layer, transposed))
+/// Bytes of the weights of a convolution as a Winograd convolution reads them; none where no plan reads them.
+fn winograd_bytes(family: Family, layer: conv2d::Layer, level: usize, transposed: bool) -> Option<u64> {
+    winograd::fits(family, layer, level).then(|| winograd::weights_bytes(family, layer, transposed))
 }
 
 impl Parameters {
@@ -84,7 +82,8 @@ impl Parameters {
         let convs = (0..channels.len()).filter(|id| architecture.nodes()[*id].parameters.is_some());
         let packed = convs.flat_map(|id| {
             let layer = conv_layer(architecture, &channels, id);
-            [Some(layer.packed_bytes(family, false)), winograd_bytes(architecture, family, id, false)]
+            let level = architecture.nodes()[id].level;
+            [Some(layer.packed_bytes(family, false)), winograd_bytes(family, layer, level, false)]
         });
         let flat = std::iter::once(flat_bytes(architecture));
         flat.chain(packed.flatten()).map(Footprint::buffer).sum()
@@ -109,7 +108,7 @@ impl Parameters {
                 Ok(gpu.buffer(name, layer.packed_bytes(family, transposed))?.all())
             };
             let transformed = |transposed| -> Result<Option<Slice>> {
-                let bytes = winograd_bytes(&architecture, family, id, transposed);
+                let bytes = winograd_bytes(family, layer, node.level, transposed);
                 bytes.map(|bytes| Ok(gpu.buffer("transformed weights", bytes)?.all())).transpose()
             };
             convs.push(Some(ConvParameters {
