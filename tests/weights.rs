@@ -114,22 +114,6 @@ fn the_bytes_are_a_file_that_the_crate_reads() {
     assert_eq!(bytes, weights.clone().to_bytes());
 }
 
-/// Untrained, `base` is the identity on radiance: exactly, for ones and zeros are exact factors.
-#[test]
-fn initial_weights_of_base_give_the_radiance_back() {
-    let architecture = Architecture::named("base").unwrap();
-    let weights = Weights::initial(&architecture, 5);
-    assert_ne!(weights.parameters, Weights::glorot(&architecture, 5).parameters);
-    // Inputs are not negative: transferred radiance, albedo, normals from 0 to 1.
-    let input = Tensor::<f32>::uniform([1, 9, 16, 32], 3);
-    let input = Tensor::new(input.shape, input.data.iter().map(|v| f64::from(v.abs())).collect());
-    let parameters: Vec<f64> = weights.parameters.iter().copied().map(f64::from).collect();
-    let output = reference::forward(&architecture, &parameters, &input).pop().unwrap();
-    for c in 0..3 {
-        assert_eq!(output.plane(0, c), input.plane(0, c), "channel {c}");
-    }
-}
-
 /// Weights of a tensor with zero biases, uniform to `limit`: five standard errors of the mean (variance 1/3) and of the mean
 /// square (variance 4/45) of a uniform variable.
 fn require_uniform(name: &str, values: &[f32], limit: f64) {

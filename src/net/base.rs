@@ -51,22 +51,6 @@ const NAMED_BY: [&str; 11] = [
 /// Channels of the radiance, the first of the input.
 const RADIANCE: usize = 3;
 
-/// Where a tensor lies on the way from the input's skip to the output: lets its first output channels be the radiance, and
-/// those of the last layer nothing else. `shape` is that of OIHW weights.
-pub(super) fn pass_radiance(tensor: &str, shape: &[usize], weights: &mut [f32]) {
-    const CENTER: usize = 4;
-    let first = match tensor {
-        // After the upsampled features comes the input.
-        "dec_conv1a.weight" => shape[1] - INPUT_CHANNELS,
-        "dec_conv1b.weight" | "dec_conv0.weight" => 0,
-        _ => return,
-    };
-    for (channel, output) in weights.chunks_mut(shape[1] * 9).take(RADIANCE).enumerate() {
-        output.fill(0.0);
-        output[(first + channel) * 9 + CENTER] = 1.0;
-    }
-}
-
 /// Training treats the network as one of radiance in units this many times as large: a power of two, so that no bit is lost.
 /// The transfer `pu` makes small numbers of common radiance (0.1 to 0.4, noise in the second decimal), beside which Adam's
 /// steps of equal size are large.

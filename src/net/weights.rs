@@ -35,19 +35,13 @@ impl Weights {
 
     /// What training begins with: He-uniform weights, which keep the size of the activations from layer to layer (He et al.
     /// 2015): the limit is `sqrt(6 / (9 * Cin * (1 + slope^2)))`, in linear layers `sqrt(3 / (9 * Cin))`. Smaller ones let the
-    /// deep layers of `base` go silent. But `base` gives its input's radiance back, so that training starts at the error of the
-    /// noisy picture and learns what to change; and its weights are those of [`Architecture::parameter_scales`].
+    /// deep layers of `base` go silent. All of it in the units of [`Architecture::parameter_scales`].
     #[must_use]
     pub fn initial(architecture: &Architecture, seed: u64) -> Self {
         let mut weights = Self::uniform(architecture, seed, |cin, _, slope| match slope {
             Some(slope) => 6.0 / (cin as f64 * (1.0 + f64::from(slope).powi(2))),
             None => 3.0 / cin as f64,
         });
-        if architecture.name() == "base" {
-            for TensorSpec { name, shape, range } in architecture.tensors() {
-                super::base::pass_radiance(&name, &shape, &mut weights.parameters[range]);
-            }
-        }
         for (parameter, scale) in weights.parameters.iter_mut().zip(architecture.parameter_scales()) {
             *parameter *= scale;
         }
