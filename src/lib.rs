@@ -3,6 +3,7 @@
 #![warn(missing_docs)]
 
 pub mod bench;
+mod chart;
 pub mod denoise;
 pub mod error;
 pub mod gpu;

@@ -8,7 +8,7 @@ mod halves;
 mod seams;
 
 pub use defects::{Defects, defects};
-pub use halves::{ReferenceNoise, compare_halves, mean_reference, reference_noise};
+pub use halves::{ReferenceNoise, compare_halves, mean_reference, reference_noise, relmse};
 pub use seams::seam_energy;
 
 use crate::image::png::srgb_encode;

@@ -74,6 +74,93 @@ fn values_are_what_the_network_makes() {
     }
 }
 
+const ERROR: [&str; 12] = [
+    "bench",
+    "error",
+    "-o",
+    "e",
+    "--size",
+    "16x12",
+    "--spp",
+    "1,4",
+    "--only",
+    "nee+pcg,cosine+sobol",
+    "--reference-spp",
+    "64",
+];
+
+/// What a run is told to have erred is what its picture errs, against the halves that the folder keeps.
+#[test]
+fn an_error_benchmark_tells_the_errors_of_the_renders() {
+    let cli = Cli::new();
+    let report = cli.json(&[&ERROR[..], &["--runs", "2", "--json"]].concat());
+    let halves = ["e/reference1.exr", "e/reference2.exr"].map(|name| cli.image(name));
+    assert_ne!(halves[0].rgb("").unwrap(), halves[1].rgb("").unwrap());
+    let lines = String::from_utf8(cli.bytes("e/runs.jsonl")).unwrap();
+    assert_eq!(lines.lines().count(), 2 * 2 * 2);
+    for run in lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap()) {
+        let word = |key: &str| run[key].as_str().unwrap().to_owned();
+        let (spp, seed) = (run["spp"].to_string(), run["seed"].to_string());
+        let args = ["render", "spheres", "--denoise", "--size", "16x12", "-o", "a.exr", "--spp", &spp, "--seed", &seed];
+        cli.ok(&[&args[..], &["--estimator", &word("estimator"), "--sampler", &word("sampler")]].concat());
+        let image = cli.image("a.exr");
+        for (prefix, key) in [("noisy", "noisy"), ("", "reconstructed")] {
+            let expected =
+                limpid::metrics::compare_halves(&image, prefix, [&halves[0], &halves[1]]).unwrap().all.relmse;
+            // Reading JSON may cost the last bit.
+            assert!((number(&run[key]["relmse"]) / expected - 1.0).abs() < 1e-15, "{run}: {expected}");
+            assert!(number(&run[key]["device_ms"]) > 0.0 && number(&run["rays"]) > 0.0);
+        }
+    }
+    let summary = &report["summary"];
+    assert_eq!(summary["lines"].as_array().unwrap().len(), 4);
+    let noise = limpid::metrics::reference_noise([&halves[0], &halves[1]]).unwrap().relmse;
+    assert!((number(&summary["reference_noise"]) / noise - 1.0).abs() < 1e-15);
+    assert_eq!(serde_json::from_slice::<Value>(&cli.bytes("e/summary.json")).unwrap()["summary"], *summary);
+    assert!(String::from_utf8(cli.bytes("e/error.svg")).unwrap().contains("cosine+sobol, reconstructed"));
+}
+
+/// Runs that are there are kept to the letter, a line that was cut off is taken again, and other settings are refused.
+#[test]
+fn an_error_benchmark_goes_on() {
+    let cli = Cli::new();
+    let args = [&ERROR[..], &["--no-denoise"]].concat();
+    cli.ok(&[&args[..], &["--runs", "1"]].concat());
+    let first = cli.bytes("e/runs.jsonl");
+    std::fs::write(cli.path("e/runs.jsonl"), &first[..first.len() - 9]).unwrap();
+    let text = cli.ok(&[&args[..], &["--runs", "2"]].concat());
+    assert!(text.contains("nee+pcg") && text.contains("relMSE after equal times"), "{text}");
+    let whole = first[..first.len() - 1].iter().rposition(|b| *b == b'\n').unwrap() + 1;
+    let second = cli.bytes("e/runs.jsonl");
+    assert_eq!(second[..whole], first[..whole]);
+    let keys = |bytes: &[u8]| -> Vec<String> {
+        let runs = bytes.split(|b| *b == b'\n').filter(|line| !line.is_empty());
+        let runs = runs.map(|line| serde_json::from_slice::<Value>(line).unwrap());
+        let mut keys: Vec<_> =
+            runs.map(|r| format!("{} {} {} {}", r["estimator"], r["sampler"], r["spp"], r["seed"])).collect();
+        keys.sort();
+        keys
+    };
+    let all = keys(&second);
+    assert_eq!(all.len(), 2 * 2 * 2);
+    assert!(all.windows(2).all(|pair| pair[0] != pair[1]), "{all:?}");
+    let before = cli.bytes("e/reference1.exr");
+    for other in [["--size", "16x16"], ["--reference-spp", "32"]] {
+        let name = other[0].trim_start_matches("--").replace("size", "height").replace('-', "_");
+        let kept: Vec<&str> = args.iter().copied().collect();
+        let at = kept.iter().position(|arg| *arg == other[0]).unwrap();
+        let changed = [&kept[..at], &other[..], &kept[at + 2..]].concat();
+        cli.fails(&changed, 2, &["other settings", &name, "another folder"]);
+    }
+    cli.fails(&ERROR, 2, &["other settings", "weights"]);
+    assert_eq!((cli.bytes("e/reference1.exr"), cli.bytes("e/runs.jsonl")), (before, second));
+    std::fs::write(cli.path("e/runs.jsonl"), "{}\n").unwrap();
+    cli.fails(&args, 2, &["runs.jsonl, line 1", "remove the line"]);
+    std::fs::write(cli.path("e/settings.json"), "x").unwrap();
+    cli.fails(&args, 2, &["settings.json", "another folder"]);
+    cli.fails(&["bench", "error", "-o", "f", "--only", "nee+dice"], 2, &["nee+dice", "cosine+sobol"]);
+}
+
 #[test]
 fn a_training_step_by_kernel() {
     let cli = Cli::new();

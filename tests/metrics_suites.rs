@@ -113,6 +113,10 @@ fn noise_of_the_references_does_not_count() {
     let truth = image(200, [&vec![0.5; count as usize][..]; 3]);
     let exact = compare(&a, &truth).unwrap().all.relmse;
     let product = compare_halves(&a, "", [&first, &second]).unwrap().all.relmse;
+    let rgb = |image: &Image| -> [Vec<f32>; 3] { image.rgb("").unwrap().map(<[f32]>::to_vec) };
+    let planes = [rgb(&a), rgb(&first), rgb(&second)];
+    let [x, r1, r2] = planes.each_ref().map(|p| [&p[0][..], &p[1][..], &p[2][..]]);
+    assert_eq!(metrics::relmse(x, [r1, r2]), product);
     let against_mean = compare(&a, &metrics::mean_reference([&first, &second]).unwrap()).unwrap().all.relmse;
     // Uniform in +-0.05: errors of the image and of both references have this variance s2, and (e - n1) (e - n2) - e^2 three
     // products of two of them. The denominators' noise, of variance s2 / 2, changes them by 11 times that, and by its square.

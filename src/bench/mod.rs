@@ -1,5 +1,6 @@
 //! What takes how long on the device, and what the device can do at most.
 
+pub mod error;
 pub mod network;
 
 use crate::gpu::{Commands, Gpu};

@@ -26,12 +26,28 @@ pub fn compare_halves(image: &Image, prefix: &str, halves: [&Image; 2]) -> Resul
     comparison(&maps, mask.as_deref())
 }
 
+/// relMSE of planes against two independent references: the mean product of the differences to each.
+///
+/// # Panics
+/// Where the planes differ in length.
+#[must_use]
+pub fn relmse(a: Rgb, halves: [Rgb; 2]) -> f64 {
+    let [first, second] = halves;
+    assert!((0..3).all(|c| [first[c].len(), second[c].len(), a[c].len()] == [a[0].len(); 3]));
+    let mean: [Vec<f32>; 3] = [0, 1, 2].map(|c| mean_plane(first[c], second[c]));
+    let terms = products(a, halves, [&mean[0], &mean[1], &mean[2]]);
+    terms.iter().sum::<f64>() / terms.len() as f64
+}
+
+fn mean_plane(a: &[f32], b: &[f32]) -> Vec<f32> {
+    a.iter().zip(b).map(|(a, b)| ((f64::from(*a) + f64::from(*b)) / 2.0) as f32).collect()
+}
+
 /// The first of two references, with the mean of both in `R`, `G`, `B`.
 pub fn mean_reference([first, second]: [&Image; 2]) -> Result<Image> {
     let [a, b] = checked([first, second])?;
-    let mean = |c: usize| a[c].iter().zip(b[c]).map(|(a, b)| ((f64::from(*a) + f64::from(*b)) / 2.0) as f32).collect();
     let mut image = first.clone();
-    image.set_rgb("", [0, 1, 2].map(mean));
+    image.set_rgb("", [0, 1, 2].map(|c| mean_plane(a[c], b[c])));
     Ok(image)
 }
 

@@ -2,9 +2,11 @@
 
 use crate::named::named;
 use crate::{Error, Result};
+use serde::{Deserialize, Serialize};
 
 /// How light is found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Estimator {
     /// Uniform directions on the hemisphere; light only where a path hits it.
     Uniform,
@@ -15,7 +17,8 @@ pub enum Estimator {
 }
 
 /// Where the random numbers come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Sampler {
     /// Independent numbers from a hash of (pixel, sample, dimension, seed).
     Pcg,

@@ -1,8 +1,10 @@
-//! `limpid bench`: device times of the network beside what the device can do.
+//! `limpid bench`: device times of the network beside what the device can do; error over time of the path tracer.
 
-use super::device::{DeviceArgs, KernelArgs};
-use super::render::parse_size;
-use super::report;
+mod error;
+
+use crate::cli::device::{DeviceArgs, KernelArgs};
+use crate::cli::render::parse_size;
+use crate::cli::report;
 use clap::{Subcommand, ValueEnum};
 use limpid::bench::network::{Bench, Row, Values};
 use limpid::bench::peak;
@@ -19,9 +21,9 @@ use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Time the network on the device: by layer, whole, or a training step
+/// Time the network on the device: by layer, whole, or a training step; or the path tracer: error over time
 ///
-/// Prints device milliseconds (median, shortest and longest run after a warm-up), GFLOP/s in operations of the direct
+/// Of the network it prints device milliseconds (median, shortest and longest run after a warm-up), GFLOP/s in operations of the direct
 /// convolution (two a multiply-accumulate, whatever a kernel saves of them), the least bytes to move, and the share of
 /// the device's peak: multiplications and additions on registers, measured in the same run. A kernel that saves
 /// operations may exceed the peak. The warm-up (the driver's compilation included) and the creation of pipelines stand
@@ -40,6 +42,7 @@ enum What {
     Net(NetArgs),
     /// A training step, whole and by kernel
     Train(TrainArgs),
+    Error(error::Args),
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -112,6 +115,7 @@ pub fn run(args: &Args) -> Result<u8> {
         What::Layers(net) => time_net(net, true),
         What::Net(net) => time_net(net, false),
         What::Train(train) => time_train(train),
+        What::Error(args) => error::run(args),
     }
 }
 
