@@ -147,9 +147,8 @@ fn an_error_benchmark_goes_on() {
     let before = cli.bytes("e/reference1.exr");
     for other in [["--size", "16x16"], ["--reference-spp", "32"]] {
         let name = other[0].trim_start_matches("--").replace("size", "height").replace('-', "_");
-        let kept: Vec<&str> = args.iter().copied().collect();
-        let at = kept.iter().position(|arg| *arg == other[0]).unwrap();
-        let changed = [&kept[..at], &other[..], &kept[at + 2..]].concat();
+        let at = args.iter().position(|arg| *arg == other[0]).unwrap();
+        let changed = [&args[..at], &other[..], &args[at + 2..]].concat();
         cli.fails(&changed, 2, &["other settings", &name, "another folder"]);
     }
     cli.fails(&ERROR, 2, &["other settings", "weights"]);
