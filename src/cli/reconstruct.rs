@@ -13,7 +13,6 @@ use limpid::net::plan::Plan;
 use limpid::net::weights::Weights;
 use limpid::{Error, Result};
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
 use std::path::Path;
 
 /// Weights, and the network made for the size of the last picture.
@@ -41,7 +40,7 @@ impl Reconstruction {
         let name = file.map_or_else(|| "embedded".to_owned(), |file| file.display().to_string());
         let weights = file.map_or_else(embedded_weights, weights_of)?;
         let inputs = Preparation::of_weights(&weights, &name)?.inputs;
-        let sha256 = Sha256::digest(weights.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
+        let sha256 = weights.sha256();
         Ok(Self { name, weights, inputs, sha256, cut, kernels: None, choice: None, made: None })
     }
 

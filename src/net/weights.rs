@@ -6,6 +6,7 @@ use super::tensor::{hash, seed_of, uniform};
 use crate::image::file::write_atomically;
 use crate::{Error, Result};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -103,6 +104,12 @@ impl Weights {
             })?;
         }
         Ok(Self { architecture, parameters, metadata })
+    }
+
+    /// The SHA-256 of [`Self::to_bytes`], in hexadecimal.
+    #[must_use]
+    pub fn sha256(&self) -> String {
+        Sha256::digest(self.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
     /// The bytes of a safetensors file: the same for the same weights. (The crate writes metadata in the random order of

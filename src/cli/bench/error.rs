@@ -19,7 +19,6 @@ use limpid::render::Settings;
 use limpid::scene::{Scene, Spec, mitsuba};
 use limpid::{Error, Result};
 use serde_json::{Map, Value, json};
-use sha2::{Digest, Sha256};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -211,8 +210,7 @@ pub fn run(args: &Args) -> Result<u8> {
 
 /// What a folder's results have in common.
 fn settings(args: &Args, scene: &Scene, gpu: &Gpu, weights: Option<&Weights>) -> Map<String, Value> {
-    let sha256 = weights
-        .map(|weights| Sha256::digest(weights.to_bytes()).iter().map(|byte| format!("{byte:02x}")).collect::<String>());
+    let sha256 = weights.map(Weights::sha256);
     let settings = json!({
         "scene": args.scene, "scene_hash": scene.hash(), "width": args.size.0, "height": args.size.1, "aa": args.aa,
         "bounces": Settings::default().bounces, "reference_spp": args.reference_spp, "weights": sha256,
