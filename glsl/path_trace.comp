@@ -25,6 +25,7 @@ layout(constant_id = 12) const uint BOUNCES = 8;
 layout(constant_id = 13) const bool ANTIALIAS = false;
 layout(constant_id = 14) const bool VARIANCE = false;
 layout(constant_id = 15) const bool CHECKERS = false;      // a surface has two reflectances
+layout(constant_id = 16) const bool HALVES = false;        // even and odd samples are independent, their difference is kept
 
 const uint ESTIMATOR_UNIFORM = 0u;
 const uint ESTIMATOR_COSINE = 1u;
@@ -43,6 +44,8 @@ layout(set = 0, binding = 5, std430) buffer NormalWorld { vec4 aov_normal[]; };
 layout(set = 0, binding = 6, std430) buffer Screen { vec4 aov_screen[]; };
 // A pixel's batch sum, mean of batch means and their sum of squared deviations, one after another.
 layout(set = 0, binding = 7, std430) buffer Batch { vec4 batch[]; };
+// Sum of the even samples less that of the odd ones.
+layout(set = 0, binding = 8, std430) buffer Difference { vec4 difference[]; };
 
 layout(push_constant) uniform Push {
     uint width;
@@ -71,6 +74,23 @@ const bool ALIGNED = PRELOAD && ((RECT_AXES | (RECT_AXES >> 1u)) & AXIS_BITS) ==
 
 #include "lib/scene.glsl"
 #include "lib/lights.glsl"
+
+// The streams of the pixel's samples; with HALVES odd samples of a net have a scrambling of their own, so that both halves are
+// nets and independent.
+uvec2 g_key, g_odd_key;
+const bool TWO_NETS = HALVES && SAMPLER == SAMPLER_SOBOL;
+
+void set_keys(uvec2 pixel) {
+    g_key = pixel_key(pixel, seed);
+    if (TWO_NETS) g_odd_key = pcg4d(uvec4(g_key, 0x68616c66u, 0x6f646473u)).xy;
+}
+
+uvec2 key_of(uint i) { return TWO_NETS && (i & 1u) != 0u ? g_odd_key : g_key; }
+uint place_of(uint i) { return TWO_NETS ? i >> 1u : i; }
+
+// Random numbers of a sample at a vertex of its path; 0 is the camera.
+vec4 numbers(uint i, uint vertex) { return random4(SAMPLER, key_of(i), place_of(i), vertex); }
+float number(uint i, uint vertex) { return random1(SAMPLER, key_of(i), place_of(i), vertex); }
 
 // NaN, infinite or negative: one unsigned comparison on the bits, which no compiler folds away.
 bool invalid(vec3 x) { return max(floatBitsToUint(x.r), max(floatBitsToUint(x.g), floatBitsToUint(x.b))) >= 0x7f800000u; }
@@ -106,7 +126,7 @@ void main() {
     vec4 sum_total = total[index];
     if (!ANTIALIAS && write_aov == 0u && sum_total.w != 0.0) return; // exact: nothing to add
     preload();
-    uvec2 key = pixel_key(pixel, seed);
+    set_keys(pixel);
     vec4 origin = imageLoad(scene, 0); // w: how far a ray starts off its surface
 
     uint sample_index = sample_begin;
@@ -125,7 +145,7 @@ void main() {
         sum_albedo = aov_albedo[index].rgb;
         sum_normal = aov_normal[index].xyz;
         sum_screen = aov_screen[index];
-        d = camera_ray(vec2(pixel) + random4(SAMPLER, key, sample_index, 0u).xy);
+        d = camera_ray(vec2(pixel) + numbers(sample_index, 0u).xy);
     } else {
         d = camera_ray(vec2(pixel) + 0.5);
         float t = 1e30;
@@ -158,6 +178,7 @@ void main() {
     }
 
     vec3 sum_block = block[index].rgb;
+    vec3 sum_difference = HALVES ? difference[index].rgb : vec3(0.0);
     vec3 batch_sum = vec3(0.0), batch_mean = vec3(0.0), batch_m2 = vec3(0.0);
     if (VARIANCE) {
         batch_sum = batch[3u * index].rgb;
@@ -167,9 +188,9 @@ void main() {
 
     while (sample_index < sample_end) {
         if (at_vertex) {
-            vec4 u = random4(SAMPLER, key, sample_index, depth + 1u);
+            vec4 u = numbers(sample_index, depth + 1u);
             if (NEE) {
-                float choice = LIGHT_COUNT > 1u ? random1(SAMPLER, key, sample_index, depth + 1u) : 0.0;
+                float choice = LIGHT_COUNT > 1u ? number(sample_index, depth + 1u) : 0.0;
                 radiance += throughput * sample_light(vertex, u.zw, choice, rays);
             }
             at_vertex = false;
@@ -208,6 +229,7 @@ void main() {
                 bad += 1u;
             }
             sum_block += radiance;
+            if (HALVES) sum_difference += (sample_index & 1u) == 0u ? radiance : -radiance;
             if (VARIANCE) {
                 batch_sum += radiance;
                 if ((sample_index + 1u) % batch_size == 0u) {
@@ -228,7 +250,7 @@ void main() {
                 radiance = vec3(0.0);
                 throughput = vec3(1.0);
                 o = origin.xyz;
-                d = camera_ray(vec2(pixel) + random4(SAMPLER, key, sample_index, 0u).xy);
+                d = camera_ray(vec2(pixel) + numbers(sample_index, 0u).xy);
                 vertex.id = NONE;
                 has_ray = true;
             } else {
@@ -248,6 +270,7 @@ void main() {
         aov_normal[index] = vec4(sum_normal, 0.0);
         aov_screen[index] = sum_screen;
     }
+    if (HALVES) difference[index] = vec4(sum_difference, 0.0);
     if (VARIANCE) {
         batch[3u * index] = vec4(batch_sum, 0.0);
         batch[3u * index + 1u] = vec4(batch_mean, 0.0);

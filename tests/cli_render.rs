@@ -3,6 +3,7 @@
 mod cli_support;
 
 use cli_support::Cli;
+use serde_json::json;
 
 #[test]
 fn two_runs_give_the_same_bits() {
@@ -150,4 +151,33 @@ fn variance_where_asked_for() {
     assert!(cli.image("a.exr").channels["variance.G"].iter().any(|v| *v > 0.0));
     cli.render(&args);
     assert!(!cli.image("a.exr").channels.contains_key("variance.G"));
+}
+
+#[test]
+fn a_render_until_an_error_says_what_it_reached() {
+    let cli = Cli::new();
+    let args = ["-o", "a.exr", "--size", "32x32", "--until", "0.02"];
+    let report = cli.report(&args);
+    let frame = &report["frames"][0];
+    assert_eq!(frame["reached"], "error");
+    let estimate = frame["relmse_estimate"].as_f64().expect("a number");
+    assert!(estimate <= 0.02 && estimate > 0.005, "{estimate}");
+    let attributes = cli.image("a.exr").attributes;
+    // serde_json reads numbers to within a bit.
+    let written: f64 = attributes["relmseEstimate"].parse().expect("a number");
+    assert!((written / estimate - 1.0).abs() < 1e-12, "{written} {estimate}");
+    assert_eq!(attributes["spp"], frame["spp_done"].to_string());
+    // Finished for this error and any larger one, not for a smaller one.
+    let again = |until: &str| cli.report(&["-o", "a.exr", "--size", "32x32", "--until", until, "--resume"]);
+    assert!(again("0.02")["frames"][0]["kept"].is_string());
+    assert!(again("0.03")["frames"][0]["kept"].is_string());
+    assert_eq!(again("0.01")["frames"][0]["reached"], "error");
+    // --spp limits it; a file's own number of samples does not.
+    let report = cli.report(&["-o", "b.exr", "--size", "16x16", "--until", "1e-9", "--spp", "9"]);
+    assert_eq!([&report["frames"][0]["reached"], &report["frames"][0]["spp_done"]], [&json!("samples"), &json!(9)]);
+    std::fs::write(cli.path("s.xml"), cli.ok(&["scene", "spheres"])).expect("written");
+    let report = cli.report(&["s.xml", "-o", "c.exr", "--size", "24x24", "--until", "0.004"]);
+    assert!(report["frames"][0]["spp_done"].as_u64() > Some(16), "{}", report["frames"][0]);
+    let report = cli.report(&["-o", "d.exr", "--size", "16x16", "--time", "50ms"]);
+    assert_eq!([&report["frames"][0]["reached"], &report["settings"]["time_s"]], [&json!("time"), &json!(0.05)]);
 }

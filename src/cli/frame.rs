@@ -9,7 +9,7 @@ use super::stop::{Signal, Stop};
 use limpid::denoise::{Axes, Guides};
 use limpid::gpu::Gpu;
 use limpid::image::{Image, exr, file};
-use limpid::render::{Features, Renderer, Settings};
+use limpid::render::{Features, Goal, Next, Pursuit, Reached, Renderer, Settings};
 use limpid::scene::Scene;
 use limpid::{Error, Result};
 use serde_json::{Value, json};
@@ -18,6 +18,8 @@ use std::time::{Duration, Instant};
 /// How often a long render saves its state; never more than a twentieth of the time goes into it.
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
 const CHECKPOINT_SHARE: u32 = 20;
+/// Attribute of the relMSE that a render with `--until` was estimated to have.
+const RELMSE_ESTIMATE: &str = "relmseEstimate";
 
 /// What is to be rendered.
 pub struct Frame {
@@ -29,6 +31,22 @@ pub struct Frame {
     pub scene: Scene,
     /// How.
     pub settings: Settings,
+    /// When it is done, beside the samples of the settings.
+    pub goal: Goal,
+}
+
+/// How tracing ended.
+struct Traced {
+    /// None where a signal came first.
+    reached: Option<Reached>,
+    /// The last estimate, where the goal asks for one.
+    relmse: Option<f64>,
+}
+
+/// The last checkpoint of a render that goes on: when, and what it took.
+struct Save {
+    last: Instant,
+    cost: Duration,
 }
 
 /// What all frames have cost together.
@@ -111,13 +129,14 @@ impl<'a> Work<'a> {
         }
         let resumed = (renderer.samples_done(), renderer.stats()?.rays);
         self.totals.first.get_or_insert_with(Instant::now);
-        let finished = self.trace(&mut renderer, files, &mut progress)?;
+        let traced = self.trace(&mut renderer, frame.goal, files, &mut progress)?;
+        let finished = traced.reached.is_some();
         drop(progress);
         if !finished {
             write_checkpoint(&renderer, files)?;
         }
         let mut image = renderer.image()?;
-        self.describe(frame, &mut image);
+        self.describe(frame, &traced, &mut image);
         self.totals.render_wall_ms += start.elapsed().as_secs_f64() * 1e3;
         self.totals.skipped = renderer.stats()?.skipped;
         if finished {
@@ -133,7 +152,7 @@ impl<'a> Work<'a> {
         if !finished {
             self.totals.outputs.push(report::text(&files.checkpoint));
         }
-        self.count(&renderer, frame, &image, resumed)?;
+        self.count(&renderer, frame, &image, resumed, &traced)?;
         self.renderer = Some(renderer);
         Ok(finished)
     }
@@ -142,8 +161,13 @@ impl<'a> Work<'a> {
         let (s, camera) = (&frame.settings, &frame.scene.camera);
         let number = frame.number.map_or(String::new(), |t| format!(" frame {t}"));
         format!(
-            "render {}{number} {}x{}, {} spp, {}+{}",
-            self.args.scene, camera.width, camera.height, s.spp, s.estimator, s.sampler
+            "render {}{number} {}x{}, {}, {}+{}",
+            self.args.scene,
+            camera.width,
+            camera.height,
+            self.args.goal_in_words(s.spp),
+            s.estimator,
+            s.sampler
         )
     }
 
@@ -161,32 +185,63 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Traces all samples; false where a signal came before the last.
-    fn trace(&self, renderer: &mut Renderer, files: &Files, progress: &mut Progress) -> Result<bool> {
-        let (mut saved, mut cost) = (Instant::now(), Duration::ZERO);
+    /// Traces until the goal is reached or a signal comes.
+    fn trace(&self, renderer: &mut Renderer, goal: Goal, files: &Files, progress: &mut Progress) -> Result<Traced> {
+        let (start, mut pursuit) = (Instant::now(), Pursuit::from(goal));
+        let mut save = Save { last: Instant::now(), cost: Duration::ZERO };
         let (width, height) = renderer.size();
-        let samples = f64::from(width) * f64::from(height) * f64::from(renderer.settings().spp);
+        let pixels = f64::from(width) * f64::from(height);
         loop {
-            let step = renderer.advance()?;
+            let samples = match pursuit.next(renderer, start.elapsed())? {
+                Next::Done(reached) => return Ok(Traced { reached: Some(reached), relmse: pursuit.relmse }),
+                Next::Samples(samples) => samples,
+            };
+            if let Some(relmse) = pursuit.relmse {
+                progress.note(format!("{} spp, relMSE {relmse:.2e}, ", renderer.samples_done()));
+            }
+            let show = |fraction: f64| match pursuit.share(start.elapsed()) {
+                // What is shown as done of the goal is so many samples.
+                Some(share) => progress.update(share, pixels * f64::from(samples) * fraction / share, "samples"),
+                None => progress.update(fraction, pixels * f64::from(samples), "samples"),
+            };
+            if self.stop.requested().is_some() || !self.trace_to(renderer, samples, files, &mut save, show)? {
+                return Ok(Traced { reached: None, relmse: pursuit.relmse });
+            }
+        }
+    }
+
+    /// Traces to a number of samples; false where a signal came before.
+    fn trace_to(
+        &self,
+        renderer: &mut Renderer,
+        samples: u32,
+        files: &Files,
+        save: &mut Save,
+        mut show: impl FnMut(f64),
+    ) -> Result<bool> {
+        loop {
+            let step = renderer.advance_to(samples)?;
             if step.done() {
                 return Ok(true);
             }
-            progress.update(step.fraction, samples, "samples");
+            show(step.fraction);
             if self.stop.requested().is_some() {
                 return Ok(false);
             }
-            if saved.elapsed() >= CHECKPOINT_INTERVAL.max(CHECKPOINT_SHARE * cost) {
+            if save.last.elapsed() >= CHECKPOINT_INTERVAL.max(CHECKPOINT_SHARE * save.cost) {
                 let begin = Instant::now();
                 write_checkpoint(renderer, files)?;
-                cost = begin.elapsed();
-                saved = Instant::now();
+                *save = Save { last: Instant::now(), cost: begin.elapsed() };
             }
         }
     }
 
     /// What the renderer does not know.
-    fn describe(&self, frame: &Frame, image: &mut Image) {
+    fn describe(&self, frame: &Frame, traced: &Traced, image: &mut Image) {
         let mut set = |name: &str, value: String| image.attributes.insert(name.to_owned(), value);
+        if let Some(relmse) = traced.relmse {
+            set(RELMSE_ESTIMATE, relmse.to_string());
+        }
         set("scene", self.args.scene.clone());
         set("limpid", env!("CARGO_PKG_VERSION").to_owned());
         if let Some(version) = frame.family_version {
@@ -214,7 +269,14 @@ impl<'a> Work<'a> {
         Ok(())
     }
 
-    fn count(&mut self, renderer: &Renderer, frame: &Frame, image: &Image, resumed: (u32, u64)) -> Result<()> {
+    fn count(
+        &mut self,
+        renderer: &Renderer,
+        frame: &Frame,
+        image: &Image,
+        resumed: (u32, u64),
+        traced: &Traced,
+    ) -> Result<()> {
         let stats = renderer.stats()?;
         let totals = &mut self.totals;
         totals.rays += stats.rays;
@@ -228,6 +290,8 @@ impl<'a> Work<'a> {
             "scene_hash": image.attributes.get("sceneHash"),
             "spp_done": renderer.samples_done(),
             "spp_resumed": resumed.0,
+            "reached": traced.reached.map(Reached::name),
+            "relmse_estimate": traced.relmse,
             "render_device_ms": report::ms(stats.device_ms),
             "dispatches": stats.dispatches,
             "longest_dispatch_ms": report::ms(stats.longest_dispatch_ms),
@@ -240,8 +304,12 @@ impl<'a> Work<'a> {
     fn is_done(&self, frame: &Frame, files: &Files) -> bool {
         let Ok(image) = exr::read(&files.exr) else { return false };
         let s = &frame.settings;
+        let estimate = image.attributes.get(RELMSE_ESTIMATE).and_then(|text| text.parse::<f64>().ok());
+        let enough = match frame.goal.relmse {
+            Some(limit) => estimate.is_some_and(|estimate| estimate <= limit),
+            None => image.attributes.get("spp") == Some(&s.spp.to_string()),
+        };
         let wanted = [
-            ("spp", s.spp.to_string()),
             ("seed", s.seed.to_string()),
             ("bounces", s.bounces.to_string()),
             ("estimator", s.estimator.to_string()),
@@ -252,7 +320,9 @@ impl<'a> Work<'a> {
             ("driver", self.gpu.info().driver.clone()),
         ];
         let weights = self.network.as_ref().map(Reconstruction::sha256);
-        wanted.iter().all(|(name, value)| image.attributes.get(*name) == Some(value))
+        enough
+            && estimate.is_some() == s.halves
+            && wanted.iter().all(|(name, value)| image.attributes.get(*name) == Some(value))
             && image.attributes.get("weights").map(String::as_str) == weights
             && image.has_rgb("variance") == (s.batch_size() > 0)
     }

@@ -45,6 +45,8 @@ pub struct Features {
     pub aa: bool,
     /// The variance of the mean is kept.
     pub variance: bool,
+    /// As in [`Settings`].
+    pub halves: bool,
 }
 
 impl Features {
@@ -81,6 +83,7 @@ impl Features {
             bounces: settings.bounces,
             aa: settings.aa,
             variance: settings.batch_size() > 0,
+            halves: settings.halves,
         }
     }
 
@@ -109,6 +112,7 @@ impl Features {
             bounces: self.bounces,
             antialias: self.aa,
             variance: self.variance,
+            halves: self.halves,
         }
     }
 
@@ -143,6 +147,7 @@ impl Features {
         skip(self.preload, "primitive loops (all primitives in registers)");
         skip(!self.aa, "a camera ray for every sample (one first hit a pixel)");
         skip(!self.variance, "variance");
+        skip(!self.halves, "the difference of two halves");
         if aligned > 0 {
             skip(true, &format!("general plane tests for {aligned} axis-aligned rectangles"));
         }

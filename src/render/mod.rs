@@ -8,7 +8,9 @@
 //! cut of the work into dispatches gives the same bits, and 16,384 samples lose nothing in f32.
 
 mod checkpoint;
+mod error_estimate;
 mod features;
+mod goal;
 mod output;
 mod pack;
 mod probe;
@@ -17,6 +19,7 @@ mod settings;
 mod state;
 
 pub use features::Features;
+pub use goal::{Goal, Next, Pursuit, Reached};
 pub use output::Outputs;
 pub use pack::FilmWindow;
 pub use probe::loop_limit;

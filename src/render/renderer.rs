@@ -197,14 +197,21 @@ impl Renderer {
 
     /// One dispatch: a band of rows, a range of samples. Does nothing when all is done.
     pub fn advance(&mut self) -> Result<Progress> {
-        if self.cursor.begin >= self.settings.spp {
-            return Ok(self.progress(0.0));
+        self.advance_to(self.settings.spp)
+    }
+
+    /// The same where every pixel is to have `samples` samples, at most those of the settings. What a dispatch has begun,
+    /// the next ones finish in all rows, beyond `samples` if need be.
+    pub fn advance_to(&mut self, samples: u32) -> Result<Progress> {
+        let goal = samples.min(self.settings.spp).max(self.cursor.end);
+        if self.cursor.begin >= goal {
+            return Ok(self.progress(0.0, goal));
         }
         let (height, width) = (self.state.height, self.state.width);
         let affordable = (self.rate * TARGET_SECONDS).max(1.0);
         if self.cursor.row == 0 {
             let chunk = (affordable / f64::from(width * GROUP.min(height))) as u32;
-            let chunk = chunk.clamp(1, self.max_chunk).min(self.settings.spp - self.cursor.begin);
+            let chunk = chunk.clamp(1, self.max_chunk).min(goal - self.cursor.begin);
             self.cursor.end = self.cursor.begin + chunk;
         }
         let samples = self.cursor.end - self.cursor.begin;
@@ -223,7 +230,7 @@ impl Renderer {
             self.cursor = Cursor { begin: self.cursor.end, end: self.cursor.end, row: 0 };
         }
         self.resolved = false;
-        Ok(self.progress(ms))
+        Ok(self.progress(ms, goal))
     }
 
     fn dispatch(&mut self, window: u32, rows: std::ops::Range<u32>, samples: std::ops::Range<u32>) -> Result<f64> {
@@ -251,14 +258,10 @@ impl Renderer {
         Ok(ms)
     }
 
-    fn progress(&self, device_ms: f64) -> Progress {
+    fn progress(&self, device_ms: f64, goal: u32) -> Progress {
         let Cursor { begin, end, row } = self.cursor;
         let partial = f64::from(end - begin) * f64::from(row) / f64::from(self.state.height);
-        Progress {
-            samples_done: begin,
-            fraction: (f64::from(begin) + partial) / f64::from(self.settings.spp),
-            device_ms,
-        }
+        Progress { samples_done: begin, fraction: (f64::from(begin) + partial) / f64::from(goal), device_ms }
     }
 
     /// Runs to the last sample.

@@ -16,6 +16,8 @@ pub(super) struct State {
     pub block: Buffer,
     pub counts: Buffer,
     pub batch: Option<Buffer>,
+    /// Even samples less odd ones.
+    pub difference: Option<Buffer>,
     /// First hits: albedo, world normal, screen values; sums where every sample has its own camera ray.
     pub aov: [Buffer; 3],
     /// What `resolve` writes; the first hits of the shared camera ray need no resolving.
@@ -42,6 +44,7 @@ impl State {
             block: plane("block")?,
             counts: plane("counts")?,
             batch: features.variance.then(|| gpu.buffer("batch", 3 * pixels * VEC4_BYTES)).transpose()?,
+            difference: features.halves.then(|| plane("difference")).transpose()?,
             aov: [plane("first albedo")?, plane("first normal")?, plane("first screen")?],
             radiance: plane("radiance")?,
             resolved: if features.aa { Some([plane("albedo")?, plane("normal")?, plane("screen")?]) } else { None },
@@ -78,6 +81,16 @@ impl State {
             normal_world: window(&self.aov[1]),
             screen: window(&self.aov[2]),
             batch: self.window_or_dummy(self.batch.as_ref(), first, 3 * VEC4_BYTES),
+            difference: self.window_or_dummy(self.difference.as_ref(), first, VEC4_BYTES),
+        }
+    }
+
+    /// Of the rows from `first`; there is a difference.
+    pub(super) fn error_estimate_bind(&self, first: u32, sums: Slice) -> shaders::error_estimate::Bind {
+        shaders::error_estimate::Bind {
+            radiance: self.window(&self.radiance, first, VEC4_BYTES),
+            difference: self.window_or_dummy(self.difference.as_ref(), first, VEC4_BYTES),
+            sums,
         }
     }
 
@@ -106,6 +119,7 @@ impl State {
     pub(super) fn sums(&self) -> Vec<&Buffer> {
         let mut list = vec![&self.total, &self.block, &self.counts];
         list.extend(self.batch.as_ref());
+        list.extend(self.difference.as_ref());
         if self.resolved.is_some() {
             list.extend(self.aov.iter());
         }
