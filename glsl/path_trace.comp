@@ -25,7 +25,9 @@ layout(constant_id = 12) const uint BOUNCES = 8;
 layout(constant_id = 13) const bool ANTIALIAS = false;
 layout(constant_id = 14) const bool VARIANCE = false;
 layout(constant_id = 15) const bool CHECKERS = false;      // a surface has two reflectances
-layout(constant_id = 16) const bool HALVES = false;        // even and odd samples are independent, their difference is kept
+layout(constant_id = 16) const uint DISK_FIRST = 0;        // of the rectangles, those from here on ..
+layout(constant_id = 17) const uint DISK_COUNT = 0;        // .. are disks, so many
+layout(constant_id = 18) const bool HALVES = false;        // even and odd samples are independent, their difference is kept
 
 const uint ESTIMATOR_UNIFORM = 0u;
 const uint ESTIMATOR_COSINE = 1u;

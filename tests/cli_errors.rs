@@ -80,6 +80,14 @@ fn scenes() {
     let line = 1 + xml.lines().position(|line| line.contains("type=\"sphere\"")).expect("a sphere");
     write(&xml.replacen("type=\"sphere\"", "type=\"teapot\"", 1));
     fails("s.xml", &["s.xml", &line.to_string(), "teapot"]);
+    // Without the teapot, which is named.
+    let report = cli.report(&["s.xml", "--size", "8x8", "--lenient"]);
+    let left_out = report["left_out"].as_array().expect("a list");
+    assert_eq!(left_out.len(), 1);
+    assert!(left_out[0].as_str().expect("text").starts_with(&format!("s.xml:{line}: shape of type 'teapot'")));
+    let output = cli.run(&["scene", "s.xml", "--lenient"]);
+    assert!(cli_support::stderr(&output).contains(&format!("left out: s.xml:{line}: ")), "{output:?}");
+    assert_eq!(cli_support::stdout(&output).matches("<shape").count(), xml.matches("<shape").count() - 1);
     std::fs::write(cli.path("s.xml"), [0xff, 0xfe, 0x00]).unwrap();
     fails("s.xml", &["s.xml", "UTF-8"]);
 }

@@ -155,6 +155,7 @@ fn scaled(scene: &Scene, factor: f64) -> Scene {
                 *half_u *= factor;
                 *half_v *= factor;
             }
+            other => unreachable!("{other:?}"),
         }
     }
     scene
@@ -263,6 +264,7 @@ fn first_hit(scene: &Scene, o: DVec3, d: DVec3) -> Option<(f64, DVec3, usize, f6
                 clearance = clearance.min((edge - 1.0).abs());
                 (t > 0.0 && edge < 1.0).then_some((t, normal))
             }
+            ref other => unreachable!("{other:?}"),
         };
         if let Some((t, n)) = hit.filter(|(t, _)| *t > 0.0 && best.is_none_or(|(b, ..)| *t < b)) {
             best = Some((t, n, i));

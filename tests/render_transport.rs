@@ -51,6 +51,7 @@ fn furnace(scale: f64, shift: DVec3, radiance: f64, albedo: f64, size: u32) -> S
                 *half_u *= scale;
                 *half_v *= scale;
             }
+            other => unreachable!("{other:?}"),
         }
     }
     let camera =

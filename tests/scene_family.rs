@@ -18,7 +18,7 @@ fn spheres(scene: &Scene) -> Vec<(DVec3, f64, &Shape)> {
         .iter()
         .filter_map(|shape| match shape.geometry {
             Geometry::Sphere { center, radius, .. } => Some((center, radius, shape)),
-            Geometry::Rectangle { .. } => None,
+            _ => None,
         })
         .collect()
 }
@@ -232,7 +232,7 @@ fn hash_sees_every_number() {
     let hash = scene.hash();
     assert!(hash.len() == 16 && hash.bytes().all(|b| b.is_ascii_hexdigit()));
     let next = |v: &mut f64| *v = v.next_up();
-    let changes: [BoxedChange; 12] = [
+    let changes: [BoxedChange; 13] = [
         Box::new(|s| s.camera.width += 1),
         Box::new(|s| s.camera.height += 1),
         Box::new(move |s| next(&mut s.camera.fov_x_degrees)),
@@ -242,11 +242,17 @@ fn hash_sees_every_number() {
         Box::new(|s| s.shapes[0].checker = Some(CHECKER)),
         Box::new(|s| s.shapes[0].checker = Some(Checker { repeats: DVec2::new(1.0, 2.0), ..CHECKER })),
         Box::new(|s| s.shapes[0].checker = Some(Checker { albedo: DVec3::X, ..CHECKER })),
+        Box::new(|s| match s.shapes[0].geometry {
+            Geometry::Rectangle { center, half_u, half_v } => {
+                s.shapes[0].geometry = Geometry::Disk { center, half_u, half_v };
+            }
+            _ => unreachable!(),
+        }),
         Box::new(|s| s.shapes.swap(6, 7)),
         Box::new(|s| drop(s.shapes.pop())),
         Box::new(move |s| match &mut s.shapes[0].geometry {
             Geometry::Rectangle { half_v, .. } => next(&mut half_v.x),
-            Geometry::Sphere { .. } => unreachable!(),
+            _ => unreachable!(),
         }),
     ];
     let mut hashes = vec![hash.clone()];

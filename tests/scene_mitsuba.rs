@@ -74,6 +74,8 @@ fn written_scenes_load_bit_for_bit() {
         half_u: DVec3::new(0.3, 0.4, 0.0),
         half_v: DVec3::new(-4e-7, 3e-7, 1e-3),
     };
+    odd.shapes[1].geometry =
+        Geometry::Disk { center: DVec3::new(0.1, 0.2, 1e3), half_u: 0.3 * DVec3::Z, half_v: 0.7 * DVec3::X };
     odd.shapes[0].radiance = DVec3::new(1e-20, 0.1 + 0.2, 1e17);
     let frames = [family::frame(3, 17), family::frame(90_000, 239)];
     for scene in (0..50).map(family::spheres).chain(frames).chain([family::canonical(), odd]) {
@@ -107,14 +109,14 @@ fn parameters_are_substituted() {
     let sphere = |options: &Options| load_with(xml, options).unwrap().scene.shapes.remove(0).geometry;
     let expected = Geometry::Sphere { center: DVec3::new(0.25, 3.0, -0.25), radius: 3.0, inward: false };
     assert_eq!(sphere(&Options::default()), expected);
-    let set = |name: &str| Options { parameters: [(name.to_owned(), "7".to_owned())].into(), size: None };
+    let set = |name: &str| Options { parameters: [(name.to_owned(), "7".to_owned())].into(), ..Options::default() };
     assert_eq!(
         sphere(&set("ab")),
         Geometry::Sphere { center: DVec3::new(0.25, 7.0, -0.25), radius: 7.0, inward: false }
     );
     let error = load_with(xml, &set("b")).unwrap_err().to_string();
     assert!(error.contains("'b'") && error.contains("a, ab"), "{error}");
-    let size = Options { parameters: [("size".to_owned(), "99".to_owned())].into(), size: None };
+    let size = Options { parameters: [("size".to_owned(), "99".to_owned())].into(), ..Options::default() };
     let camera = mitsuba::load_str(family::CANONICAL_XML, "c.xml", &size).unwrap().scene.camera;
     assert_eq!((camera.width, camera.height), (99, 99));
 }
@@ -147,6 +149,21 @@ fn shapes_and_materials() {
         ));
         assert_eq!(half_u.cross(half_v), normal * DVec3::Z, "{attributes} {flip}");
     }
+    let disk = shape(
+        r#"<shape type="disk"><transform name="to_world"><scale x="2" y="3"/><rotate x="1" angle="-90"/>
+        <translate value="1 2 3"/></transform></shape>"#,
+    );
+    let expected =
+        Geometry::Disk { center: DVec3::new(1.0, 2.0, 3.0), half_u: 2.0 * DVec3::X, half_v: -3.0 * DVec3::Z };
+    assert_eq!(disk.geometry, expected);
+    for (attributes, flip, normal) in [("x=\"-1\"", false, 1.0), ("z=\"-1\"", false, -1.0), ("", true, -1.0)] {
+        let disk = shape(&format!(
+            r#"<shape type="disk"><boolean name="flip_normals" value="{flip}"/>
+               <transform name="to_world"><scale {attributes}/></transform></shape>"#
+        ));
+        let Geometry::Disk { half_u, half_v, .. } = disk.geometry else { panic!("{disk:?}") };
+        assert_eq!(half_u.cross(half_v), normal * DVec3::Z, "{attributes} {flip}");
+    }
     // References may come before the material, and reach nested ones.
     let shapes = load(&format!(
         r#"{SENSOR}<shape type="sphere"><ref id="m"/></shape>
@@ -177,6 +194,188 @@ fn checkerboards() {
     // Where the normal is turned u and v change places, and with them the cells.
     let flipped = of(colors, r#"<boolean name="flip_normals" value="true"/>"#).checker.unwrap();
     assert_eq!((flipped.repeats, flipped.offset), (DVec2::new(5.0, 3.0), DVec2::new(-0.5, 0.25)));
+}
+
+/// The six faces written down by hand: centre, and the world directions of u and v in Mitsuba's cube.
+fn faces(turned: bool) -> Vec<Geometry> {
+    let (x, y, z) = (DVec3::X, DVec3::Y, DVec3::Z);
+    let faces = [(-y, z, x), (y, -x, -z), (x, y, -z), (z, y, x), (-x, y, z), (-z, -y, x)];
+    let face = |(center, u, v): (DVec3, DVec3, DVec3)| {
+        let (half_u, half_v) = if turned { (u, v) } else { (v, u) };
+        assert_eq!(half_u.cross(half_v), if turned { -center } else { center });
+        Geometry::Rectangle { center, half_u, half_v }
+    };
+    faces.map(face).to_vec()
+}
+
+#[test]
+fn cubes_are_six_rectangles() {
+    let cube = |inside: &str| {
+        let texture = r#"<bsdf type="diffuse"><texture type="checkerboard" name="reflectance">
+            <transform name="to_uv"><scale x="3" y="5"/></transform></texture></bsdf>"#;
+        load(&format!("{SENSOR}<shape type=\"cube\" id=\"box\">{inside}{texture}</shape>")).unwrap().scene.shapes
+    };
+    let geometries = |shapes: &[Shape]| shapes.iter().map(|s| s.geometry.clone()).collect::<Vec<_>>();
+    let plain = cube("");
+    assert_eq!(geometries(&plain), faces(false));
+    assert_eq!((plain[0].name.as_str(), plain[5].name.as_str()), ("box-1", "box-6"));
+    assert!(plain.iter().all(|shape| shape.checker.unwrap().repeats == DVec2::new(5.0, 3.0)));
+    let flipped = cube(r#"<boolean name="flip_normals" value="true"/>"#);
+    assert_eq!(geometries(&flipped), faces(true));
+    assert!(flipped.iter().all(|shape| shape.checker.unwrap().repeats == DVec2::new(3.0, 5.0)));
+    let transform = |inside: &str| format!("<transform name=\"to_world\">{inside}</transform>");
+    // Outward still where it is mirrored; also turned and scaled.
+    let operations = r#"<scale x="-1" y="2" z="0.5"/><rotate y="1" angle="30"/><translate x="3"/>"#;
+    for shape in cube(&transform(operations)) {
+        let Geometry::Rectangle { center, half_u, half_v } = shape.geometry else { panic!("{shape:?}") };
+        let outward = center - DVec3::new(3.0, 0.0, 0.0);
+        assert!(half_u.cross(half_v).normalize().distance(outward.normalize()) < 1e-15, "{shape:?}");
+    }
+    let sheared = transform(r#"<matrix value="1 0 0 0 0 1 0.1 0 0 0 1 0 0 0 0 1"/>"#);
+    let error = load(&format!("{SENSOR}\n<shape type=\"cube\">{sheared}</shape>")).unwrap_err().to_string();
+    assert!(error.starts_with("test.xml:3: sheared cube"), "{error}");
+}
+
+#[test]
+fn checkerboards_on_turned_disks() {
+    let of = |attributes: &str| {
+        shape(&format!(
+            r#"<shape type="disk"><transform name="to_world"><scale {attributes}/></transform>
+            <bsdf type="diffuse"><texture type="checkerboard" name="reflectance"><transform name="to_uv">
+            <scale x="3" y="5"/><translate x="0.25" y="-0.5"/></transform></texture></bsdf></shape>"#
+        ))
+        .checker
+        .unwrap()
+    };
+    let plain = of("x=\"1\"");
+    assert_eq!((plain.repeats, plain.offset), (DVec2::new(3.0, 5.0), DVec2::new(0.25, -0.5)));
+    // The angle runs the other way: 5 v - 1/2 = -5 (1 - v) + 4.5.
+    let turned = of("x=\"-1\"");
+    assert_eq!((turned.repeats, turned.offset), (DVec2::new(3.0, -5.0), DVec2::new(0.25, 4.5)));
+}
+
+#[test]
+fn included_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, body: &str| {
+        std::fs::write(folder.path().join(name), format!("<scene version=\"3.0.0\">\n{body}\n</scene>")).unwrap();
+    };
+    let load = |options: &Options| mitsuba::load(folder.path().join("main.xml"), options);
+    write(
+        "main.xml",
+        &format!(
+            r#"<default name="r" value="2"/><default name="part" value="parts"/>{SENSOR}<shape type="sphere" id="first"/>
+            <include filename="$part.xml"/><shape type="sphere" id="last"><ref id="red"/></shape>"#
+        ),
+    );
+    write(
+        "parts.xml",
+        r#"<default name="r" value="9"/><default name="s" value="0.5"/><include filename="colours.xml"/>
+        <shape type="sphere" id="part"><float name="radius" value="$r"/><point name="center" x="$s" y="0" z="0"/></shape>"#,
+    );
+    let red = r#"<bsdf type="diffuse" id="red"><rgb name="reflectance" value="1,0,0"/></bsdf>"#;
+    write("colours.xml", red);
+    let scene = load(&Options::default()).unwrap().scene;
+    // In the includes' place, with the parameters of the file that includes.
+    assert_eq!(scene.shapes.iter().map(|s| s.name.as_str()).collect::<Vec<_>>(), ["first", "part", "last"]);
+    let part = Geometry::Sphere { center: DVec3::new(0.5, 0.0, 0.0), radius: 2.0, inward: false };
+    assert_eq!(scene.shapes[1].geometry, part);
+    assert_eq!(scene.shapes[2].albedo, DVec3::X);
+    let set = Options { parameters: [("s".to_owned(), "7".to_owned())].into(), ..Options::default() };
+    let Geometry::Sphere { center, .. } = load(&set).unwrap().scene.shapes[1].geometry else { panic!() };
+    assert_eq!(center.x, 7.0);
+
+    let fails = |parts: [&str; 2]| {
+        let error = load(&Options::default()).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        let error = error.to_string();
+        assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+    };
+    write("colours.xml", &format!("\n{red}\n<shape type=\"sphere\" id=\"part\"/>"));
+    fails(["colours.xml:4: ", "id"]);
+    write("colours.xml", "\n<bsdf type=\"diffuse\"><float name=\"reflectance\" value=\"2\"/></bsdf>");
+    fails(["colours.xml:3: ", "[0, 1]"]);
+    write("colours.xml", "<include filename=\"none.xml\"/>");
+    fails(["colours.xml:2: ", "none.xml"]);
+    write("colours.xml", "<include filename=\"parts.xml\"/>");
+    fails(["parts.xml:2: ", "include itself"]);
+    write("colours.xml", "<include filename=\"$nope.xml\"/>");
+    fails(["colours.xml:2: ", "unknown parameter"]);
+    std::fs::write(folder.path().join("colours.xml"), "<bsdf type=\"diffuse\"/>").unwrap();
+    fails(["colours.xml:1: ", "<scene>"]);
+    std::fs::write(folder.path().join("colours.xml"), "<scene version=\"3.0.0\">\n<a></scene>").unwrap();
+    fails(["colours.xml:2: ", "well-formed"]);
+    write("colours.xml", "<shape type=\"sphere\"><include filename=\"x.xml\"/></shape>");
+    fails(["colours.xml:2: ", "include"]);
+}
+
+#[test]
+fn lenient_leaves_out_and_names_it() {
+    let body = r##"<integrator type="volpath"/>
+        <bsdf type="twosided" id="a"><bsdf type="diffuse"><float name="reflectance" value="0.25"/></bsdf></bsdf>
+        <bsdf type="hair" id="b"/>
+        <shape type="sphere" id="one"><ref id="a"/><float name="bumpiness" value="1"/></shape>
+        <shape type="sphere" id="two"><ref id="b"/></shape>
+        <shape type="sdfgrid" id="none"><bsdf type="diffuse"/></shape>
+        <shape type="sphere" id="none-2"><transform name="to_world"><scale x="2"/></transform></shape>
+        <shape type="cube" id="none-3"><transform name="to_world"><matrix value="1 1 0 0 0 1 0 0 0 0 1 0 0 0 0 1"/></transform></shape>
+        <shape type="rectangle" id="three"><emitter type="projector"/></shape>
+        <emitter type="sky"/>
+        <medium type="homogeneous"/>"##;
+    let strict = load(&format!(
+        "{SENSOR}
+{body}"
+    ))
+    .unwrap_err()
+    .to_string();
+    assert!(strict.starts_with("test.xml:4: ") && strict.contains("twosided"), "{strict}");
+    let lenient = Options { lenient: true, ..Options::default() };
+    let loaded = load_with(
+        &format!(
+            "{SENSOR}
+{body}"
+        ),
+        &lenient,
+    )
+    .unwrap();
+    let shapes: Vec<_> = loaded.scene.shapes.iter().map(|s| (s.name.as_str(), s.albedo.x)).collect();
+    assert_eq!(shapes, [("one", 0.25), ("two", 0.5), ("three", 0.5)]);
+    let mut left_out = loaded.left_out;
+    left_out.sort();
+    let expected = [
+        (10, "sheared cube"),
+        (11, "projector"),
+        (12, "<emitter"),
+        (13, "<medium"),
+        (3, "volpath"),
+        (4, "twosided"),
+        (5, "hair"),
+        (6, "bumpiness"),
+        (8, "sdfgrid"),
+        (9, "ellipsoid"),
+    ];
+    assert_eq!(left_out.len(), expected.len(), "{left_out:#?}");
+    for (note, (line, word)) in left_out.iter().zip(expected) {
+        assert!(note.starts_with(&format!("test.xml:{line}: ")) && note.contains(word), "{note}");
+    }
+    // What is wrong, not unsupported, is refused all the same.
+    for wrong in [
+        r#"<shape type="sphere"><float name="radius" value="-1"/></shape>"#,
+        r#"<shape type="sphere"><ref id="nope"/></shape>"#,
+        r#"<bsdf type="diffuse"><float name="reflectance" value="2"/></bsdf>"#,
+    ] {
+        assert!(
+            load_with(
+                &format!(
+                    "{SENSOR}
+{wrong}"
+                ),
+                &lenient
+            )
+            .is_err(),
+            "{wrong}"
+        );
+    }
 }
 
 #[test]
@@ -232,7 +431,7 @@ fn errors_name_line_and_element() {
     // Every body starts at line 2 of the file; the sensor is line 2 where it is given.
     let cases = [
         (3, "conductor", r#"<bsdf type="conductor" id="a"/>"#),
-        (3, "supported: sphere, rectangle", r#"<shape type="cube"/>"#),
+        (3, "supported: sphere, rectangle", r#"<shape type="cylinder"/>"#),
         (3, "<texture", "<texture type=\"bitmap\" name=\"x\"/>"),
         (4, "<float name=\"radiuss\">", "<shape type=\"sphere\">\n<float name=\"radiuss\" value=\"1\"/></shape>"),
         (4, "<medium", "<shape type=\"sphere\">\n<medium type=\"x\" name=\"interior\"/></shape>"),

@@ -19,7 +19,7 @@ fn emits(shape: &Shape) -> bool {
 fn spheres(scene: &Scene) -> Vec<(DVec3, f64)> {
     let sphere = |shape: &Shape| match shape.geometry {
         Geometry::Sphere { center, radius, .. } => Some((center, radius)),
-        Geometry::Rectangle { .. } => None,
+        _ => None,
     };
     scene.shapes.iter().filter_map(sphere).collect()
 }
@@ -62,6 +62,7 @@ fn members_follow_their_definition() {
 fn center(shape: &Shape) -> DVec3 {
     match shape.geometry {
         Geometry::Sphere { center, .. } | Geometry::Rectangle { center, .. } => center,
+        ref other => unreachable!("{other:?}"),
     }
 }
 
@@ -110,6 +111,13 @@ fn reflectance(shape: &Shape, p: DVec3) -> Option<DVec3> {
             let turn = n.y.atan2(n.x) / std::f64::consts::TAU;
             DVec2::new(turn.rem_euclid(1.0), n.z.acos() / std::f64::consts::PI)
         }
+        Geometry::Disk { center, half_u, half_v } => {
+            let s = DVec2::new(
+                half_u.dot(p - center) / half_u.length_squared(),
+                half_v.dot(p - center) / half_v.length_squared(),
+            );
+            DVec2::new(s.length(), (s.y.atan2(s.x) / std::f64::consts::TAU).rem_euclid(1.0))
+        }
     };
     let cell = (uv * checker.repeats + checker.offset).map(|v| v.rem_euclid(1.0));
     let near = |v: f64| v.min((v - 0.5).abs()).min(1.0 - v) < EDGE * (1.0 + checker.repeats.max_element());
@@ -135,6 +143,12 @@ fn hit(scene: &Scene, camera: &Camera, (i, j): (u32, u32)) -> Option<(DVec3, usi
             let f = ray.origin + ray.direction * t - center;
             let inside = |half: DVec3| f.dot(half).abs() <= half.length_squared();
             (t > 0.0 && inside(half_u) && inside(half_v)).then_some(t)
+        }
+        Geometry::Disk { center, half_u, half_v } => {
+            let t = (center - ray.origin).dot(half_u.cross(half_v)) / ray.direction.dot(half_u.cross(half_v));
+            let f = ray.origin + ray.direction * t - center;
+            let part = |half: DVec3| f.dot(half) / half.length_squared();
+            (t > 0.0 && part(half_u).hypot(part(half_v)) <= 1.0).then_some(t)
         }
     };
     let hits = scene.shapes.iter().enumerate().filter_map(|(k, shape)| Some((distance(shape)?, k)));
@@ -181,7 +195,9 @@ fn checkerboards_lie_where_their_definition_says() {
     ];
     let ball = Shape { checker: checker((2.0, 3.0), (0.0, 0.25)), ..sphere([0.0, 0.2, 1.0], 0.7, 0.5, 0.0) };
     let light = sphere([0.0, 4.0, 4.0], 0.5, 0.0, 5.0);
-    let shapes = [walls.to_vec(), vec![ball, light]].concat();
+    let disk = Geometry::Disk { center: DVec3::new(0.1, -1.0, 1.5), half_u: 0.7 * DVec3::X, half_v: -0.9 * DVec3::Z };
+    let disk = Shape { geometry: disk, checker: checker((2.0, 3.0), (0.1, 0.2)), ..walls[0].clone() };
+    let shapes = [walls.to_vec(), vec![disk, ball, light]].concat();
     let camera = look(DVec3::new(0.4, 0.5, 5.0), DVec3::ZERO, 45.0, 96, 80);
     check_albedo(&Scene { camera, shapes: shapes.clone() }, "few shapes");
     // More than are held in registers.

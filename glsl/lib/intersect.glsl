@@ -59,4 +59,13 @@ float hit_rectangle(vec3 o, vec3 d, vec3 center, vec3 normal, vec4 u, vec4 v) {
     return abs(dot(q, u.xyz)) <= u.w && abs(dot(q, v.xyz)) <= v.w ? t : -1.0;
 }
 
+// The same of the ellipse in the middle of the rectangle.
+float hit_disk(vec3 o, vec3 d, vec3 center, vec3 normal, vec3 u, vec3 v) {
+    vec3 f = o - center;
+    float t = -dot(f, normal) / dot(d, normal);
+    vec3 q = f + t * d;
+    float a = dot(q, u), b = dot(q, v);
+    return a * a + b * b <= 1.0 ? t : -1.0;
+}
+
 #endif

@@ -47,7 +47,8 @@ vec3 sample_light(Vertex v, vec2 u, float choice, inout uint rays) {
         t_light = distance2 * inverse * ((1.0 - omc) - sqrt(max(0.0, s2 - sin2)));
         weight = dot(wi, v.n) * 2.0 * cone / share;
     } else {
-        vec3 q = g.xyz + (2.0 * u.x - 1.0) * row(light, HALF_U).xyz + (2.0 * u.y - 1.0) * row(light, HALF_V).xyz - v.p;
+        vec2 s = is_disk(light - SPHERE_COUNT) ? sample_disk(u) : 2.0 * u - 1.0;
+        vec3 q = g.xyz + s.x * row(light, HALF_U).xyz + s.y * row(light, HALF_V).xyz - v.p;
         float distance2 = dot(q, q);
         float inverse = inversesqrt(distance2);
         wi = q * inverse;

@@ -25,6 +25,13 @@ vec3 sample_hemisphere(vec3 n, vec2 u) {
     return dot(d, n) < 0.0 ? -d : d;
 }
 
+// Uniform in the unit disk.
+vec2 sample_disk(vec2 u) {
+    float r = sqrt(u.x);
+    float phi = 2.0 * PI * u.y;
+    return vec2(r * cos(phi), r * sin(phi));
+}
+
 // 1 - cos of the half angle under which a sphere is seen, s2 = (radius / distance)^2; free of cancellation for far lights.
 float cone_one_minus_cos(float s2) { return s2 / (1.0 + sqrt(max(0.0, 1.0 - s2))); }
 

@@ -42,6 +42,7 @@ vec3 g_up;
 vec3 g_forward;
 
 uint rect_axis(uint i) { return PRELOAD ? (RECT_AXES >> (2u * i)) & 3u : 0u; }
+bool is_disk(uint i) { return i >= DISK_FIRST && i < DISK_FIRST + DISK_COUNT; }
 bool rect_blocks(uint i) { return !PRELOAD || ((RECT_BLOCKERS >> i) & 1u) != 0u; }
 
 // Loads of the same address by all invocations are cheap here, before the loop, and dear inside.
@@ -72,7 +73,9 @@ vec4 sphere_at(uint i) { return PRELOAD ? g_sphere[i] : row(i, GEOMETRY); }
 float hit_rect_at(uint i, vec3 o, vec3 d, vec3 reciprocal) {
     if (PRELOAD && rect_axis(i) != 0u) return hit_aligned(o, d, reciprocal, rect_axis(i) - 1u, g_center[i], g_extent[i]);
     uint id = SPHERE_COUNT + i;
-    return hit_rectangle(o, d, row(id, GEOMETRY).xyz, row(id, NORMAL).xyz, row(id, DUAL_U), row(id, DUAL_V));
+    vec3 center = row(id, GEOMETRY).xyz, normal = row(id, NORMAL).xyz;
+    if (is_disk(i)) return hit_disk(o, d, center, normal, row(id, DUAL_U).xyz, row(id, DUAL_V).xyz);
+    return hit_rectangle(o, d, center, normal, row(id, DUAL_U), row(id, DUAL_V));
 }
 
 // A point on a surface, moved off it along the normal, and what the path needs there.
@@ -122,6 +125,12 @@ bool occluded(vec3 o, vec3 d, float t_max, uint receiver, uint light) {
     return blocked;
 }
 
+// The angle of a direction, as part of a turn.
+float turn(vec2 s) {
+    float part = atan(s.y, s.x) / (2.0 * PI);
+    return part < 0.0 ? part + 1.0 : part;
+}
+
 // The reflectance at a point of a surface that may have a checkerboard (src/scene/mod.rs, Checker).
 vec3 checkered(uint id, bool rect, vec3 p, vec3 albedo) {
     vec4 second = row(id, CHECKER);
@@ -129,11 +138,11 @@ vec3 checkered(uint id, bool rect, vec3 p, vec3 albedo) {
     vec3 f = p - row(id, GEOMETRY).xyz;
     vec2 uv;
     if (rect) {
-        uv = 0.5 + 0.5 * vec2(dot(f, row(id, DUAL_U).xyz), dot(f, row(id, DUAL_V).xyz));
+        vec2 s = vec2(dot(f, row(id, DUAL_U).xyz), dot(f, row(id, DUAL_V).xyz));
+        uv = is_disk(id - SPHERE_COUNT) ? vec2(length(s), turn(s)) : 0.5 + 0.5 * s;
     } else {
         vec3 n = normalize(f);
-        float turn = atan(n.y, n.x) / (2.0 * PI);
-        uv = vec2(turn < 0.0 ? turn + 1.0 : turn, acos(clamp(n.z, -1.0, 1.0)) / PI);
+        uv = vec2(turn(n.xy), acos(clamp(n.z, -1.0, 1.0)) / PI);
     }
     bvec2 upper = greaterThan(fract(uv * map.xy + map.zw), vec2(0.5));
     return second.w == 0.0 || upper.x == upper.y ? albedo : second.rgb;
@@ -178,8 +187,16 @@ Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
         vec4 half_u = row(id, HALF_U);
         vec4 half_v = row(id, HALF_V);
         vec3 f = p - center;
-        float a = clamp(dot(f, row(id, DUAL_U).xyz), -half_u.w, half_u.w);
-        float b = clamp(dot(f, row(id, DUAL_V).xyz), -half_v.w, half_v.w);
+        float a = dot(f, row(id, DUAL_U).xyz);
+        float b = dot(f, row(id, DUAL_V).xyz);
+        if (is_disk(id - SPHERE_COUNT)) {
+            float inside = min(1.0, half_u.w * inversesqrt(max(a * a + b * b, 1e-30)));
+            a *= inside;
+            b *= inside;
+        } else {
+            a = clamp(a, -half_u.w, half_u.w);
+            b = clamp(b, -half_v.w, half_v.w);
+        }
         v.p = center + a * half_u.xyz + b * half_v.xyz;
     }
     if (CHECKERS) v.albedo = checkered(id, rect, v.p, v.albedo);

@@ -33,6 +33,8 @@ pub struct Frame {
     pub settings: Settings,
     /// When it is done, beside the samples of the settings.
     pub goal: Goal,
+    /// What of the scene file was left out.
+    pub left_out: Vec<String>,
 }
 
 /// How tracing ended.

@@ -82,6 +82,9 @@ pub struct Args {
     /// Brightness of the PNG files only, in EV
     #[arg(long, value_name = "EV", default_value = "0", value_parser = parse_exposure)]
     pub exposure: f32,
+    /// Leave out what of a scene file is not supported and name it, instead of refusing the file
+    #[arg(long)]
+    pub lenient: bool,
     /// Go on from the checkpoint of an interrupted render; finished frames are kept
     #[arg(long)]
     pub resume: bool,
@@ -153,11 +156,12 @@ impl Args {
 
     /// The scene of a frame; flags go before what its file states.
     fn load(&self, spec: &Spec, frame: Option<u32>) -> Result<Frame> {
-        let options = mitsuba::Options { size: self.size, ..mitsuba::Options::default() };
-        let Loaded { scene, spp, bounces } = match frame {
+        let options = mitsuba::Options { size: self.size, lenient: self.lenient, ..mitsuba::Options::default() };
+        let Loaded { scene, spp, bounces, left_out } = match frame {
             Some(t) => spec.load_frame(t, &options)?,
             None => spec.load(&options)?,
         };
+        left_out.iter().for_each(|what| super::progress::line(&format!("left out: {what}")));
         let defaults = Settings::default();
         let goal = Goal { relmse: self.until, time: self.time };
         // The samples that a file states are no limit where another goal is set.
@@ -172,7 +176,7 @@ impl Args {
             variance: self.variance,
             halves: self.until.is_some(),
         };
-        Ok(Frame { number: frame, family_version: spec.family_version(), scene, settings, goal })
+        Ok(Frame { number: frame, family_version: spec.family_version(), scene, settings, goal, left_out })
     }
 
     /// When the render is done, for people.
@@ -267,6 +271,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
     map.insert("samples".into(), json!(totals.samples));
     map.insert("invalid_samples".into(), json!(totals.invalid));
     map.insert("skipped".into(), json!(totals.skipped));
+    map.insert("left_out".into(), json!(last.left_out));
     report::kernels(&mut map, work.network.as_ref().and_then(Reconstruction::kernels));
     map.insert("tiling".into(), json!(work.network.as_ref().and_then(Reconstruction::tiling)));
     map.insert("frames".into(), json!(totals.frames));

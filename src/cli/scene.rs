@@ -23,16 +23,20 @@ pub struct Args {
     /// Image size that the file states, e.g. 640x480
     #[arg(long, value_name = "WxH", value_parser = super::render::parse_size)]
     size: Option<(u32, u32)>,
+    /// Leave out what of a scene file is not supported and name it, instead of refusing the file
+    #[arg(long)]
+    lenient: bool,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<u8> {
     let spec: limpid::scene::Spec = args.scene.parse()?;
-    let options = mitsuba::Options { size: args.size, ..mitsuba::Options::default() };
+    let options = mitsuba::Options { size: args.size, lenient: args.lenient, ..mitsuba::Options::default() };
     let loaded = match args.frame {
         Some(t) => spec.load_frame(t, &options)?,
         None => spec.load(&options)?,
     };
+    loaded.left_out.iter().for_each(|what| super::progress::line(&format!("left out: {what}")));
     let xml = mitsuba::write(&loaded.scene);
     match &args.output {
         Some(path) => file::write_atomically(path, |out| {

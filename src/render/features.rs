@@ -15,11 +15,15 @@ pub const MAX_UNROLLED: usize = 16;
 pub struct Features {
     /// Spheres.
     pub sphere_count: u32,
-    /// Rectangles.
+    /// Rectangles and disks.
     pub rect_count: u32,
+    /// Of these, the first disk; see [`super::pack::order`].
+    pub disk_first: u32,
+    /// Disks.
+    pub disk_count: u32,
     /// Spheres that emit outward.
     pub sphere_light_count: u32,
-    /// Rectangles that emit.
+    /// Rectangles and disks that emit.
     pub rect_light_count: u32,
     /// Spheres whose normal points inward.
     pub inward_count: u32,
@@ -54,8 +58,8 @@ impl Features {
     pub fn new(scene: &Scene, settings: &Settings) -> Self {
         let shapes: Vec<&Shape> = order(scene).into_iter().map(|i| &scene.shapes[i]).collect();
         let count = |f: &dyn Fn(&Shape) -> bool| shapes.iter().filter(|s| f(s)).count() as u32;
-        let rects: Vec<&Shape> = shapes.iter().copied().filter(|s| is_rect(s)).collect();
-        let (sphere_count, rect_count) = (count(&|s| !is_rect(s)), rects.len() as u32);
+        let rects: Vec<&Shape> = shapes.iter().copied().filter(|s| is_flat(s)).collect();
+        let (sphere_count, rect_count) = (count(&|s| !is_flat(s)), rects.len() as u32);
         let preload = sphere_count.max(rect_count) as usize <= MAX_UNROLLED;
         let frame = Frame::of(scene);
         let (mut rect_axes, mut rect_blockers) = (0, u32::MAX);
@@ -69,8 +73,10 @@ impl Features {
         Self {
             sphere_count,
             rect_count,
-            sphere_light_count: count(&|s| !is_rect(s) && !is_inward(s) && emits(s)),
-            rect_light_count: count(&|s| is_rect(s) && emits(s)),
+            disk_first: rects.iter().position(|s| is_disk(s)).unwrap_or(0) as u32,
+            disk_count: count(&is_disk),
+            sphere_light_count: count(&|s| !is_flat(s) && !is_inward(s) && emits(s)),
+            rect_light_count: count(&|s| is_flat(s) && emits(s)),
             inward_count: count(&is_inward),
             inward_light_count: count(&|s| is_inward(s) && emits(s)),
             rect_axes,
@@ -91,6 +97,8 @@ impl Features {
         shaders::path_trace::Spec {
             sphere_count: self.sphere_count,
             rect_count: self.rect_count,
+            disk_first: self.disk_first,
+            disk_count: self.disk_count,
             sphere_light_count: self.sphere_light_count,
             rect_light_count: self.rect_light_count,
             inward_first: self.sphere_count - self.inward_count,
@@ -137,6 +145,7 @@ impl Features {
         let aligned = (0..self.rect_count).filter(|i| self.preload && self.rect_axes >> (2 * i) & 3 != 0).count();
         skip(self.sphere_count == 0, "sphere intersection");
         skip(self.rect_count == 0, "rectangle intersection");
+        skip(self.disk_count == 0, "disks");
         skip(self.sphere_light_count == 0, "sphere lights");
         skip(self.rect_light_count == 0, "rectangle lights and multiple importance sampling");
         skip(self.inward_count == 0, "inward spheres");
@@ -158,8 +167,13 @@ impl Features {
     }
 }
 
-pub(super) fn is_rect(shape: &Shape) -> bool {
-    matches!(shape.geometry, Geometry::Rectangle { .. })
+/// A rectangle or a disk?
+pub(super) fn is_flat(shape: &Shape) -> bool {
+    matches!(shape.geometry, Geometry::Rectangle { .. } | Geometry::Disk { .. })
+}
+
+pub(super) fn is_disk(shape: &Shape) -> bool {
+    matches!(shape.geometry, Geometry::Disk { .. })
 }
 
 pub(super) fn is_inward(shape: &Shape) -> bool {
@@ -191,21 +205,14 @@ pub(super) fn axis_of(geometry: &Geometry) -> u32 {
     }
 }
 
-/// A rectangle that has the whole scene on one side of its plane never comes between two surfaces.
-fn can_block(rect: &Shape, shapes: &[&Shape], tolerance: f64) -> bool {
-    let Geometry::Rectangle { center, half_u, half_v } = rect.geometry else { return true };
+/// A rectangle or disk that has the whole scene on one side of its plane never comes between two surfaces.
+fn can_block(flat: &Shape, shapes: &[&Shape], tolerance: f64) -> bool {
+    let (Geometry::Rectangle { center, half_u, half_v } | Geometry::Disk { center, half_u, half_v }) = flat.geometry
+    else {
+        return true;
+    };
     let normal = half_u.cross(half_v).normalize();
-    let (mut low, mut high) = (0.0f64, 0.0f64);
-    for shape in shapes {
-        let (c, reach) = match shape.geometry {
-            Geometry::Sphere { center, radius, .. } => (center, radius),
-            Geometry::Rectangle { center, half_u, half_v } => {
-                (center, half_u.dot(normal).abs() + half_v.dot(normal).abs())
-            }
-        };
-        let distance = (c - center).dot(normal);
-        low = low.min(distance - reach);
-        high = high.max(distance + reach);
-    }
+    let spans = shapes.iter().map(|shape| shape.geometry.span(center, normal));
+    let (low, high) = spans.fold((0.0f64, 0.0f64), |(low, high), (a, b)| (low.min(a), high.max(b)));
     low < -tolerance && high > tolerance
 }

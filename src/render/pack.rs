@@ -1,8 +1,10 @@
 //! The scene as the shaders read it: checked, recentred and scaled in f64, then rows of four f32.
 
+use std::f64::consts::PI;
+
 use glam::{DMat3, DVec3};
 
-use super::features::{axis_of, emits, is_inward, is_rect};
+use super::features::{axis_of, emits, is_disk, is_flat, is_inward};
 use crate::Result;
 use crate::scene::{Checker, Geometry, Scene, Shape};
 
@@ -27,12 +29,9 @@ impl Frame {
         let eye = scene.camera.to_world.w_axis.truncate();
         let (mut low, mut high) = (eye, eye);
         for shape in &scene.shapes {
-            let (center, reach) = match shape.geometry {
-                Geometry::Sphere { center, radius, .. } => (center, DVec3::splat(radius)),
-                Geometry::Rectangle { center, half_u, half_v } => (center, half_u.abs() + half_v.abs()),
-            };
-            low = low.min(center - reach);
-            high = high.max(center + reach);
+            let (shape_low, shape_high) = shape.geometry.bounds();
+            low = low.min(shape_low);
+            high = high.max(shape_high);
         }
         let half_extent = (0.5 * (high - low)).max_element();
         let half_extent = if half_extent > 0.0 { half_extent } else { 1.0 };
@@ -40,12 +39,13 @@ impl Frame {
     }
 }
 
-/// The shapes in the order of the buffers: spheres (outward lights, outward, inward lights, inward), then rectangles (lights, others).
+/// The shapes in the order of the buffers: spheres (outward lights, outward, inward lights, inward), then rectangles and
+/// disks (rectangles that are lights, disks that are, other disks, other rectangles).
 pub(super) fn order(scene: &Scene) -> Vec<usize> {
     let mut indices: Vec<usize> = (0..scene.shapes.len()).collect();
     indices.sort_by_key(|&i| {
         let s = &scene.shapes[i];
-        (is_rect(s), is_inward(s), !emits(s))
+        (is_flat(s), is_inward(s), !emits(s), is_disk(s) == emits(s))
     });
     indices
 }
@@ -102,11 +102,7 @@ fn sampled(shape: &Shape) -> bool {
 }
 
 fn power(shape: &Shape) -> f64 {
-    let area = match shape.geometry {
-        Geometry::Sphere { radius, .. } => 4.0 * std::f64::consts::PI * radius * radius,
-        Geometry::Rectangle { half_u, half_v, .. } => 4.0 * half_u.length() * half_v.length(),
-    };
-    area * shape.radiance.element_sum()
+    shape.geometry.area() * shape.radiance.element_sum()
 }
 
 fn row(v: DVec3, w: f64) -> [f32; 4] {
@@ -146,18 +142,20 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
             let (u, v) = (snap(half_u * frame.scale, aligned), snap(half_v * frame.scale, aligned));
             let (lu, lv) = (u.length(), v.length());
             // A gap between touching rectangles would leak: the test is a few roundings wider than the surface.
-            let (test_u, test_v) = (1.0 + 2e-6 * extent / lu, 1.0 + 2e-6 * extent / lv);
+            let test = [1.0 + 2e-6 * extent / lu, 1.0 + 2e-6 * extent / lv];
+            let inner = [(1.0 - offset / lu).max(0.0), (1.0 - offset / lv).max(0.0)];
             rows.push(row(place(center), 4.0 * lu * lv));
             rows.push(row(shape.albedo, 0.0));
             rows.push(row(shape.radiance, upper));
-            rows.push(row(u.cross(v).normalize(), 0.0));
-            rows.push(row(u / (lu * lu), test_u));
-            rows.push(row(v / (lv * lv), test_v));
-            let (inner_u, inner_v) = ((1.0 - offset / lu).max(0.0), (1.0 - offset / lv).max(0.0));
-            rows.push(row(u, inner_u));
-            rows.push(row(v, inner_v));
-            rows.push(row(u.abs() * test_u + v.abs() * test_v, 0.0));
-            rows.push(row(u.abs() * inner_u + v.abs() * inner_v, 0.0));
+            push_plane([u, v], test, inner, rows);
+        }
+        Geometry::Disk { center, half_u, half_v } => {
+            let (u, v) = (half_u * frame.scale, half_v * frame.scale);
+            let inner = (1.0 - offset / u.length().min(v.length())).max(0.0);
+            rows.push(row(place(center), PI * u.length() * v.length()));
+            rows.push(row(shape.albedo, 0.0));
+            rows.push(row(shape.radiance, upper));
+            push_plane([u, v], [1.0; 2], [inner; 2], rows);
         }
     }
     rows.resize(begin + CHECKER_ROW, [0.0; 4]);
@@ -166,6 +164,19 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
         rows.push([repeats.x, repeats.y, offset.x, offset.y].map(|v| v as f32));
     }
     rows.resize(begin + PRIMITIVE_ROWS, [0.0; 4]);
+}
+
+/// The rows of a plane from its normal on: `test` is how far a hit may be from the centre, `inner` how far it is left, in
+/// halves of the edges.
+fn push_plane([u, v]: [DVec3; 2], test: [f64; 2], inner: [f64; 2], rows: &mut Vec<[f32; 4]>) {
+    let (lu, lv) = (u.length(), v.length());
+    rows.push(row(u.cross(v).normalize(), 0.0));
+    rows.push(row(u / (lu * lu), test[0]));
+    rows.push(row(v / (lv * lv), test[1]));
+    rows.push(row(u, inner[0]));
+    rows.push(row(v, inner[1]));
+    rows.push(row(u.abs() * test[0] + v.abs() * test[1], 0.0));
+    rows.push(row(u.abs() * inner[0] + v.abs() * inner[1], 0.0));
 }
 
 /// Rotations in floating point leave 1e-17 where an edge along an axis has zeros.

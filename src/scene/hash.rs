@@ -28,6 +28,10 @@ impl Scene {
                     state.update(b"r");
                     vectors(&mut state, &[center, half_u, half_v]);
                 }
+                Geometry::Disk { center, half_u, half_v } => {
+                    state.update(b"d");
+                    vectors(&mut state, &[center, half_u, half_v]);
+                }
             }
             vectors(&mut state, &[shape.albedo, shape.radiance]);
             if let Some(checker) = shape.checker {

@@ -12,6 +12,7 @@ pub mod validate;
 pub use spec::{Loaded, Spec};
 
 use glam::{DMat4, DVec2, DVec3, Vec2Swizzles};
+use std::f64::consts::PI;
 
 /// A pinhole camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,12 +49,58 @@ pub enum Geometry {
         /// Half of the second edge; perpendicular to `half_u`.
         half_v: DVec3,
     },
+    /// A disk `center + s*half_u + t*half_v` with s² + t² at most 1; where the radii differ, an ellipse. Otherwise as a
+    /// rectangle.
+    Disk {
+        /// Centre, world space.
+        center: DVec3,
+        /// One radius.
+        half_u: DVec3,
+        /// The other radius; perpendicular to `half_u`.
+        half_v: DVec3,
+    },
+}
+
+impl Geometry {
+    /// The surface's area, square world units.
+    #[must_use]
+    pub fn area(&self) -> f64 {
+        match self {
+            Self::Sphere { radius, .. } => 4.0 * PI * radius * radius,
+            Self::Rectangle { half_u, half_v, .. } => 4.0 * half_u.length() * half_v.length(),
+            Self::Disk { half_u, half_v, .. } => PI * half_u.length() * half_v.length(),
+        }
+    }
+
+    /// Lower and upper corner of a box, parallel to the axes, that holds the surface; world space.
+    #[must_use]
+    pub fn bounds(&self) -> (DVec3, DVec3) {
+        let (center, reach) = match *self {
+            Self::Sphere { center, radius, .. } => (center, DVec3::splat(radius)),
+            Self::Rectangle { center, half_u, half_v } => (center, half_u.abs() + half_v.abs()),
+            Self::Disk { center, half_u, half_v } => (center, (half_u * half_u + half_v * half_v).map(f64::sqrt)),
+        };
+        (center - reach, center + reach)
+    }
+
+    /// The least and the greatest distance of the surface from a plane through `origin`, along its unit `normal`.
+    #[must_use]
+    pub fn span(&self, origin: DVec3, normal: DVec3) -> (f64, f64) {
+        let (center, reach) = match *self {
+            Self::Sphere { center, radius, .. } => (center, radius),
+            Self::Rectangle { center, half_u, half_v } => (center, half_u.dot(normal).abs() + half_v.dot(normal).abs()),
+            Self::Disk { center, half_u, half_v } => (center, half_u.dot(normal).hypot(half_v.dot(normal))),
+        };
+        let distance = (center - origin).dot(normal);
+        (distance - reach, distance + reach)
+    }
 }
 
 /// A checkerboard in the surface's parameters (u, v), as Mitsuba's `checkerboard` texture: the cell of (u, v) follows from
 /// `uv = repeats * (u, v) + offset`; where both or neither of the fractions of uv are above 1/2 lies the first reflectance, elsewhere the
 /// second. On a rectangle u and v run from 0 to 1 along `half_u` and `half_v`; on a sphere u is the longitude about z from x, as
-/// part of a turn, and v the angle from z as part of half a turn.
+/// part of a turn, and v the angle from z as part of half a turn. On a disk u is the distance from the centre as part of the
+/// radius, and v the angle from `half_u` toward `half_v` as part of a turn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Checker {
     /// The second reflectance, linear RGB, each in [0, 1]; [`Shape::albedo`] is the first.
@@ -69,6 +116,13 @@ impl Checker {
     #[must_use]
     pub fn swapped(self) -> Self {
         Self { repeats: self.repeats.yx(), offset: self.offset.yx(), ..self }
+    }
+
+    /// The same cells where v runs the other way.
+    #[must_use]
+    pub fn mirrored(self) -> Self {
+        let DVec2 { x, y } = self.repeats;
+        Self { repeats: DVec2::new(x, -y), offset: self.offset + DVec2::new(0.0, y), ..self }
     }
 }
 

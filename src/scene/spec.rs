@@ -26,6 +26,8 @@ pub struct Loaded {
     pub spp: Option<u32>,
     /// The bounce limit (Mitsuba's `max_depth` - 1), where stated.
     pub bounces: Option<u32>,
+    /// What of the file was left out, each with file and line.
+    pub left_out: Vec<String>,
 }
 
 impl std::str::FromStr for Spec {
@@ -91,7 +93,7 @@ fn sized(mut scene: Scene, options: &mitsuba::Options) -> Result<Loaded> {
         (scene.camera.width, scene.camera.height) = (width, height);
     }
     scene.validate()?;
-    Ok(Loaded { scene, spp: None, bounces: None })
+    Ok(Loaded { scene, spp: None, bounces: None, left_out: Vec::new() })
 }
 
 impl Scene {

@@ -64,7 +64,8 @@ impl Shape {
                     )));
                 }
             }
-            Geometry::Rectangle { center, half_u, half_v } => check_rectangle(center, half_u, half_v)?,
+            Geometry::Rectangle { center, half_u, half_v } => check_plane("rectangle", center, [half_u, half_v])?,
+            Geometry::Disk { center, half_u, half_v } => check_plane("disk", center, [half_u, half_v])?,
         }
         check_albedo(self.albedo)?;
         self.checker.map_or(Ok(()), Checker::validate)?;
@@ -84,18 +85,18 @@ impl Checker {
     }
 }
 
-fn check_rectangle(center: DVec3, half_u: DVec3, half_v: DVec3) -> Result<()> {
+fn check_plane(what: &str, center: DVec3, edges: [DVec3; 2]) -> Result<()> {
     check_point("center", center)?;
-    for half in [half_u, half_v] {
-        check_point("edge", half)?;
-        if half.length() < MIN_LENGTH {
-            return Err(Error::input(format!("degenerate rectangle: an edge is {half}; it must be longer than 0")));
+    for edge in edges {
+        check_point("edge", edge)?;
+        if edge.length() < MIN_LENGTH {
+            return Err(Error::input(format!("degenerate {what}: an edge is {edge}; it must be longer than 0")));
         }
     }
-    let cosine = half_u.normalize().dot(half_v.normalize());
+    let cosine = edges[0].normalize().dot(edges[1].normalize());
     if cosine.abs() > SHEAR_TOLERANCE {
         return Err(Error::input(format!(
-            "sheared rectangle: the cosine between its edges is {cosine:e}; they must be perpendicular"
+            "sheared {what}: the cosine between its edges is {cosine:e}; they must be perpendicular"
         )));
     }
     Ok(())

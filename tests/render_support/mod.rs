@@ -71,6 +71,10 @@ pub fn rectangle(center: DVec3, half_u: DVec3, half_v: DVec3, albedo: f64, radia
     Shape { geometry: Geometry::Rectangle { center, half_u, half_v }, ..sphere([0.0; 3], 1.0, albedo, radiance) }
 }
 
+pub fn disk(center: DVec3, half_u: DVec3, half_v: DVec3, albedo: f64, radiance: f64) -> Shape {
+    Shape { geometry: Geometry::Disk { center, half_u, half_v }, ..sphere([0.0; 3], 1.0, albedo, radiance) }
+}
+
 /// The six inner faces of the box [-1,1]^3.
 pub fn closed_box(albedo: f64, radiance: f64) -> Vec<Shape> {
     let (x, y, z) = (DVec3::X, DVec3::Y, DVec3::Z);

@@ -1,16 +1,21 @@
 //! Mitsuba 3 XML: the subset that limpid renders, read and written.
 //!
-//! Read are: `sphere` (`center`, `radius`, `to_world` with uniform scale) and `rectangle` (`to_world` without shear),
-//! each with `flip_normals` where it makes sense; `diffuse` with `reflectance` as `rgb` or as one `float`, nested or by
-//! `ref`; `area` emitters with `radiance` as `rgb` or `float`; one `perspective` sensor (`fov`, `fov_axis`, `to_world`)
-//! with an `hdrfilm` (`width`, `height`, `box` filter) and a `sampler` (`sample_count`); the `path` integrator
-//! (`max_depth`); transforms of `lookat`, `rotate`, `translate`, `scale` and `matrix`; `default` and `$name`.
-//! `near_clip`, `far_clip`, `rr_depth`, the sampler's kind and seed and the film's file format make no difference and
-//! are passed over. Defaults are Mitsuba's (a missing material is grey 0.5). Anything else is an error that names file,
-//! line and element.
+//! Read are: `sphere` (`center`, `radius`, `to_world` with uniform scale), `rectangle`, `disk` and `cube` (`to_world`
+//! without shear), each with `flip_normals` where it makes sense; `diffuse` with `reflectance` as `rgb`, as one `float` or
+//! as a `checkerboard`, nested or by `ref`; `area` emitters with `radiance` as `rgb` or `float`; one `perspective` sensor
+//! (`fov`, `fov_axis`, `to_world`) with an `hdrfilm` (`width`, `height`, `box` filter) and a `sampler` (`sample_count`); the
+//! `path` integrator (`max_depth`); transforms of `lookat`, `rotate`, `translate`, `scale` and `matrix`; `default` and
+//! `$name`; `include` of scene files, below `<scene>`. `near_clip`, `far_clip`, `rr_depth`, the sampler's kind and seed and
+//! the film's file format make no difference and are passed over. Defaults are Mitsuba's (a missing material is grey 0.5).
+//! Anything else is an error that names file, line and element or, with [`Options::lenient`], left out and named in
+//! [`Loaded::left_out`]. Files that a scene names are looked for in the folder of the scene's main file.
 
+mod files;
 mod load;
+mod material;
 mod object;
+mod sensor;
+mod shape;
 mod transform;
 mod write;
 mod xml;
@@ -29,6 +34,9 @@ pub struct Options {
     pub parameters: BTreeMap<String, String>,
     /// Image width and height in place of the film's.
     pub size: Option<(u32, u32)>,
+    /// What is not supported is left out and named in [`Loaded::left_out`], not refused: a property, a shape, an emitter; of
+    /// a material the default, or the one that it wraps, takes the place. What is wrong is an error all the same.
+    pub lenient: bool,
 }
 
 /// The largest scene file, bytes.
@@ -37,26 +45,32 @@ const MAX_FILE_BYTES: u64 = 64 << 20;
 /// Loads and validates a scene file.
 pub fn load(path: impl AsRef<Path>, options: &Options) -> Result<Loaded> {
     let path = path.as_ref();
-    let shown = path.display().to_string();
+    let text = read_text(path, "scene")?;
+    load_str(&text, &path.display().to_string(), options)
+}
+
+/// The text of a scene file; `what` it is, for messages.
+fn read_text(path: &Path, what: &str) -> Result<String> {
+    let shown = path.display();
     let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => {
-            Error::input(format!("scene '{shown}': no such file; give spheres, spheres:N or a Mitsuba 3 XML file"))
+            Error::input(format!("{what} '{shown}': no such file; give spheres, spheres:N or a Mitsuba 3 XML file"))
         }
         _ => Error::io(path, error),
     })?;
     if metadata.is_dir() {
-        return Err(Error::input(format!("scene '{shown}' is a directory; give spheres, spheres:N or an XML file")));
+        return Err(Error::input(format!("{what} '{shown}' is a directory; give spheres, spheres:N or an XML file")));
     }
     if metadata.len() > MAX_FILE_BYTES {
         return Err(Error::input(format!("{shown}: scene files end at {MAX_FILE_BYTES} bytes")));
     }
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
-    let text = String::from_utf8(bytes)
-        .map_err(|_| Error::input(format!("{shown}: not text in UTF-8; scene files are Mitsuba 3 XML")))?;
-    load_str(&text, &shown, options)
+    String::from_utf8(bytes)
+        .map_err(|_| Error::input(format!("{shown}: not text in UTF-8; scene files are Mitsuba 3 XML")))
 }
 
-/// Loads and validates a scene from XML text; `file` is the name for messages.
+/// Loads and validates a scene from XML text; `file` is the name for messages, and its folder holds the files that the scene
+/// names.
 pub fn load_str(text: &str, file: &str, options: &Options) -> Result<Loaded> {
     load::load(text, file, options)
 }

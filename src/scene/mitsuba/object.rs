@@ -2,7 +2,7 @@
 //! for is refused at the end, so nothing in a file is passed over in silence.
 
 use super::xml::Element;
-use crate::{Error, Result};
+use crate::Result;
 use glam::{DMat4, DVec3};
 use std::collections::BTreeMap;
 
@@ -18,16 +18,14 @@ pub struct Object<'a> {
 }
 
 impl<'a> Object<'a> {
-    /// Reads the properties of `element`, whose type must be one of `kinds`.
-    pub fn new(element: Element<'a>, kinds: &[&str]) -> Result<Self> {
+    /// Reads the properties of `element`, whose type must be one of `kinds`; none where it is passed over.
+    pub fn new(element: Element<'a>, kinds: &[&str]) -> Result<Option<Self>> {
         element.only_attributes(&["type", "id", "name"])?;
         let kind = element.required("type")?;
         if !kinds.contains(&kind.as_str()) {
-            return Err(element.error(format!(
-                "{} of type '{kind}' is not supported; supported: {}",
-                element.tag(),
-                kinds.join(", ")
-            )));
+            let (tag, kinds) = (element.tag(), kinds.join(", "));
+            element.unsupported(format!("{tag} of type '{kind}' is not supported; supported: {kinds}"))?;
+            return Ok(None);
         }
         let mut object = Self { element, kind, properties: BTreeMap::new(), nested: Vec::new(), known: Vec::new() };
         for child in element.children()? {
@@ -40,7 +38,7 @@ impl<'a> Object<'a> {
                 return Err(child.error(format!("the property '{name}' is given twice")));
             }
         }
-        Ok(object)
+        Ok(Some(object))
     }
 
     pub fn kind(&self) -> &str {
@@ -158,14 +156,11 @@ impl<'a> Object<'a> {
 
     /// Refuses what has not been asked for.
     pub fn finish(self) -> Result<()> {
-        let Some(left) = self.properties.values().chain(&self.nested).next() else { return Ok(()) };
-        Err(self.refusal(*left))
-    }
-
-    fn refusal(&self, left: Element) -> Error {
         let supported = if self.known.is_empty() { "nothing".to_owned() } else { self.known.join(", ") };
-        let kind = &self.kind;
-        let tag = self.element.tag();
-        left.error(format!("{} in the {kind} {tag} is not supported; supported there: {supported}", left.words()))
+        let (kind, tag) = (&self.kind, self.element.tag());
+        self.properties.values().chain(&self.nested).try_for_each(|left| {
+            let words = left.words();
+            left.unsupported(format!("{words} in the {kind} {tag} is not supported; supported there: {supported}"))
+        })
     }
 }

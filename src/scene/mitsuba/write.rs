@@ -42,6 +42,7 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
     let kind = match shape.geometry {
         Geometry::Sphere { .. } => "sphere",
         Geometry::Rectangle { .. } => "rectangle",
+        Geometry::Disk { .. } => "disk",
     };
     line(xml, &format!("  <shape type=\"{kind}\" id=\"{}\">", unique_id(&shape.name, kind, ids)));
     match shape.geometry {
@@ -53,7 +54,7 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
                 line(xml, "    <boolean name=\"flip_normals\" value=\"true\"/>");
             }
         }
-        Geometry::Rectangle { center, half_u, half_v } => {
+        Geometry::Rectangle { center, half_u, half_v } | Geometry::Disk { center, half_u, half_v } => {
             let normal = half_u.cross(half_v).normalize_or_zero();
             let columns = [half_u, half_v, normal].map(|v| v.extend(0.0));
             let matrix = DMat4::from_cols(columns[0], columns[1], columns[2], center.extend(1.0));

@@ -2,13 +2,42 @@
 
 use crate::{Error, Result};
 use roxmltree::{Document, Node, NodeType};
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-/// A parsed file and its parameters.
+/// What all files of a scene share.
+pub struct Context {
+    /// Values by name.
+    pub parameters: BTreeMap<String, String>,
+    /// What is not supported is noted and passed over, not refused.
+    lenient: bool,
+    notes: RefCell<Vec<String>>,
+}
+
+impl Context {
+    pub fn new(parameters: BTreeMap<String, String>, lenient: bool) -> Self {
+        Self { parameters, lenient, notes: RefCell::default() }
+    }
+
+    /// Adds a note; an element that is read twice is noted once.
+    pub fn note(&self, note: String) {
+        let mut notes = self.notes.borrow_mut();
+        if !notes.contains(&note) {
+            notes.push(note);
+        }
+    }
+
+    pub fn into_notes(self) -> Vec<String> {
+        self.notes.into_inner()
+    }
+}
+
+/// A parsed file.
+#[derive(Clone, Copy)]
 pub struct Source<'a> {
     pub file: &'a str,
     pub document: &'a Document<'a>,
-    pub parameters: BTreeMap<String, String>,
+    pub context: &'a Context,
 }
 
 /// Parses the text; an error names the line.
@@ -33,6 +62,11 @@ impl<'a> Element<'a> {
         Self::new(source, source.document.root_element())
     }
 
+    /// The same element with the parameters of another source of the same file.
+    pub fn within(&self, source: &'a Source<'a>) -> Self {
+        Self::new(source, self.node)
+    }
+
     pub fn tag(&self) -> &'a str {
         self.node.tag_name().name()
     }
@@ -45,6 +79,16 @@ impl<'a> Element<'a> {
         let blank = text.len() - text.trim_start().len();
         let line = self.source.document.text_pos_at(range.start + blank).row;
         Error::input(format!("{}:{line}: {message}", self.source.file))
+    }
+
+    /// For what limpid lacks and Mitsuba may have: an error or, where the user asked for that, a note.
+    pub fn unsupported(&self, message: impl std::fmt::Display) -> Result<()> {
+        let error = self.error(message);
+        if !self.source.context.lenient {
+            return Err(error);
+        }
+        self.source.context.note(error.to_string());
+        Ok(())
     }
 
     /// This element in words, e.g. `<float name="fov">`.
@@ -95,7 +139,7 @@ impl<'a> Element<'a> {
     }
 
     /// All elements below this one, in document order.
-    pub fn descendants(&self) -> impl Iterator<Item = Element<'a>> {
+    pub fn descendants(&self) -> impl Iterator<Item = Element<'a>> + use<'a> {
         let source = self.source;
         self.node.descendants().filter(Node::is_element).map(move |node| Self::new(source, node))
     }
@@ -132,11 +176,11 @@ impl<'a> Element<'a> {
         let mut parts = value.split('$');
         let mut result = parts.next().unwrap_or("").to_owned();
         for part in parts {
-            let known = self.source.parameters.iter().filter(|(name, _)| part.starts_with(name.as_str()));
+            let known = self.source.context.parameters.iter().filter(|(name, _)| part.starts_with(name.as_str()));
             let Some((name, replacement)) = known.max_by_key(|(name, _)| name.len()) else {
-                let names: Vec<_> = self.source.parameters.keys().map(String::as_str).collect();
+                let names: Vec<_> = self.source.context.parameters.keys().map(String::as_str).collect();
                 return Err(self.error(format!(
-                    "unknown parameter in \"{value}\"; the <default> elements of the file define: {}",
+                    "unknown parameter in \"{value}\"; the <default> elements define: {}",
                     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
                 )));
             };
