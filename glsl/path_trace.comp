@@ -28,6 +28,7 @@ layout(constant_id = 15) const bool CHECKERS = false;      // a surface has two 
 layout(constant_id = 16) const uint DISK_FIRST = 0;        // of the rectangles, those from here on ..
 layout(constant_id = 17) const uint DISK_COUNT = 0;        // .. are disks, so many
 layout(constant_id = 18) const bool HALVES = false;        // even and odd samples are independent, their difference is kept
+layout(constant_id = 19) const bool AOVS = true;           // first hits are kept
 
 const uint ESTIMATOR_UNIFORM = 0u;
 const uint ESTIMATOR_COSINE = 1u;
@@ -118,7 +119,7 @@ vec3 sample_direction(Vertex v, vec2 u, out float weight, out float pdf) {
 
 // Screen-space normal (x right, y up, of the side that faces the camera), depth along the ray, hit.
 vec4 screen_values(vec3 n, float t) {
-    return vec4(dot(n, normalize(g_right)), dot(n, normalize(g_up)), t * imageLoad(scene, 1).w, 1.0);
+    return vec4(dot(n, g_right_unit), dot(n, g_up_unit), t * g_depth_scale, 1.0);
 }
 
 void main() {
@@ -139,16 +140,16 @@ void main() {
     vec3 sum_albedo = vec3(0.0), sum_normal = vec3(0.0);
     vec4 sum_screen = vec4(0.0);
     vec3 o = origin.xyz, d = vec3(0.0);
-    bool at_vertex = false, has_ray = ANTIALIAS;
+    bool at_vertex = false, has_ray = false; // neither: a camera ray comes next
     Vertex vertex, first;
     vertex.id = NONE;
 
-    if (ANTIALIAS) {
+    if (ANTIALIAS && AOVS) {
         sum_albedo = aov_albedo[index].rgb;
         sum_normal = aov_normal[index].xyz;
         sum_screen = aov_screen[index];
-        d = camera_ray(vec2(pixel) + numbers(sample_index, 0u).xy);
-    } else {
+    }
+    if (!ANTIALIAS) {
         d = camera_ray(vec2(pixel) + 0.5);
         float t = 1e30;
         uint id = closest_hit(o, d, NONE, t);
@@ -163,7 +164,7 @@ void main() {
             sum_normal = first.front ? first.n : -first.n;
             sum_screen = screen_values(sum_normal, t);
         }
-        if (write_aov != 0u) {
+        if (AOVS && write_aov != 0u) {
             aov_albedo[index] = vec4(sum_albedo, 0.0);
             aov_normal[index] = vec4(sum_normal, 0.0);
             aov_screen[index] = sum_screen;
@@ -189,8 +190,12 @@ void main() {
     }
 
     while (sample_index < sample_end) {
-        if (at_vertex) {
-            vec4 u = numbers(sample_index, depth + 1u);
+        vec4 u = numbers(sample_index, at_vertex ? depth + 1u : 0u);
+        if (ANTIALIAS && !at_vertex) {
+            o = origin.xyz;
+            d = camera_ray(vec2(pixel) + u.xy);
+            has_ray = true;
+        } else {
             if (NEE) {
                 float choice = LIGHT_COUNT > 1u ? number(sample_index, depth + 1u) : 0.0;
                 radiance += throughput * sample_light(vertex, u.zw, choice, rays);
@@ -213,7 +218,7 @@ void main() {
                 bool camera = ANTIALIAS && depth == 0u;
                 if (!NEE || LAST_RAY || camera) radiance += throughput * emission(vertex, d, t, pdf, camera);
                 if (!vertex.front) vertex.albedo = vec3(0.0);
-                if (camera) {
+                if (AOVS && camera) {
                     vec3 n = vertex.front ? vertex.n : -vertex.n;
                     sum_albedo += vertex.albedo;
                     sum_normal += n;
@@ -251,10 +256,7 @@ void main() {
             if (ANTIALIAS) {
                 radiance = vec3(0.0);
                 throughput = vec3(1.0);
-                o = origin.xyz;
-                d = camera_ray(vec2(pixel) + numbers(sample_index, 0u).xy);
                 vertex.id = NONE;
-                has_ray = true;
             } else {
                 radiance = first_radiance;
                 throughput = first.albedo;
@@ -267,7 +269,7 @@ void main() {
     total[index] = vec4(sum_total.rgb, 0.0);
     block[index] = vec4(sum_block, 0.0);
     counts[index] += uvec4(rays, sample_end - sample_begin, bad, inexact);
-    if (ANTIALIAS) {
+    if (ANTIALIAS && AOVS) {
         aov_albedo[index] = vec4(sum_albedo, 0.0);
         aov_normal[index] = vec4(sum_normal, 0.0);
         aov_screen[index] = sum_screen;

@@ -4,6 +4,7 @@ layout(local_size_x = 256) in;
 
 layout(constant_id = 0) const bool ANTIALIAS = false;
 layout(constant_id = 1) const bool VARIANCE = false;
+layout(constant_id = 2) const bool AOVS = true;
 
 layout(set = 0, binding = 0, std430) readonly buffer Total { vec4 total[]; };
 layout(set = 0, binding = 1, std430) readonly buffer Block { vec4 block[]; };
@@ -35,7 +36,7 @@ void main() {
     // A pixel-centre exact pixel holds its radiance itself.
     vec3 mean = exact && !ANTIALIAS ? sum.rgb : (sum.rgb + block[i].rgb) / n;
     radiance[i] = vec4(mean, exact ? 1.0 : 0.0);
-    if (ANTIALIAS) {
+    if (ANTIALIAS && AOVS) {
         vec4 s = screen_sum[i];
         albedo[i] = vec4(albedo_sum[i].rgb / n, 0.0);
         normal_world[i] = vec4(normal_sum[i].xyz / n, 0.0);

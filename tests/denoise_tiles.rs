@@ -144,6 +144,28 @@ fn tiles_equal_the_whole_frame() {
     assert!(counts.iter().filter(|count| **count > 4).count() > 5, "hardly any tiles: {counts:?}");
 }
 
+/// A tile in which every pixel is exact does not go through the network: the same bits.
+#[test]
+fn tiles_without_noise_are_skipped() {
+    let (gpu, weights) = (gpu(), small());
+    let kernels = Kernels::best(gpu.info());
+    let rules = kernels.tile_rules(&weights.architecture);
+    let mut frame = Frame::random((117, 61), Inputs::NormalScreenDepth);
+    let tiling = Tiling::cores(frame.size, rules.step, &rules);
+    // All of the left 40 columns but one pixel.
+    for y in 0..61 {
+        (0..40).for_each(|x| frame.planes[0][y * 117 + x][3] = 1.0);
+    }
+    frame.planes[0][3 * 117 + 5][3] = 0.0;
+    let inside = |core: limpid::denoise::Rect| core.x + core.width <= 40 && !(core.x <= 5 && core.y <= 3);
+    let expected = tiling.tiles().filter(|tile| inside(tile.core)).count();
+    assert!(expected > 1 && expected < tiling.count() as usize / 2, "{expected} of {}", tiling.count());
+    let mut denoiser = TiledDenoiser::new(&gpu, &weights, kernels, tiling).unwrap();
+    let (planes, _) = frame.with_planes(|planes| denoiser.run(planes, |_| ()).unwrap());
+    assert_eq!(denoiser.skipped() as usize, expected);
+    require("skipped", same_bits(&planes.concat(), &frame.whole(&gpu, &weights, kernels)));
+}
+
 /// The architectures that are shipped, at odd sizes.
 #[test]
 fn tiles_of_seed_equal_the_whole_frame() {

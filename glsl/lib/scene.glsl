@@ -16,7 +16,7 @@ vec4 row(uint id, int k) { return imageLoad(scene, CAMERA_ROWS + int(id) * PRIMI
 const int GEOMETRY = 0; // centre, radius (rectangle: area)
 const int ALBEDO = 1;   // w: 1 for an inward sphere
 const int RADIANCE = 2; // w: upper end of the light's share in the choice of lights
-const int NORMAL = 3;   // rectangles only from here
+const int NORMAL = 3;   // rectangles only from here; w: 0 any orientation, 1, 2, 3 across x, y, z
 const int DUAL_U = 4;
 const int DUAL_V = 5;
 const int HALF_U = 6;   // w: limit to which a hit is pulled inside
@@ -40,8 +40,11 @@ vec3 g_light_radiance;
 vec3 g_right;
 vec3 g_up;
 vec3 g_forward;
+vec3 g_right_unit;
+vec3 g_up_unit;
+float g_depth_scale; // from the scene's units here to those of the world
 
-uint rect_axis(uint i) { return PRELOAD ? (RECT_AXES >> (2u * i)) & 3u : 0u; }
+uint rect_axis(uint i) { return PRELOAD ? (RECT_AXES >> (2u * i)) & 3u : uint(row(SPHERE_COUNT + i, NORMAL).w); }
 bool is_disk(uint i) { return i >= DISK_FIRST && i < DISK_FIRST + DISK_COUNT; }
 bool rect_blocks(uint i) { return !PRELOAD || ((RECT_BLOCKERS >> i) & 1u) != 0u; }
 
@@ -54,6 +57,9 @@ void preload() {
     g_right = imageLoad(scene, 1).xyz;
     g_up = imageLoad(scene, 2).xyz;
     g_forward = imageLoad(scene, 3).xyz;
+    g_right_unit = normalize(g_right);
+    g_up_unit = normalize(g_up);
+    g_depth_scale = imageLoad(scene, 1).w;
     if (!PRELOAD) return;
     [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
         g_sphere[i] = row(i, GEOMETRY);
@@ -71,9 +77,11 @@ void preload() {
 vec4 sphere_at(uint i) { return PRELOAD ? g_sphere[i] : row(i, GEOMETRY); }
 
 float hit_rect_at(uint i, vec3 o, vec3 d, vec3 reciprocal) {
-    if (PRELOAD && rect_axis(i) != 0u) return hit_aligned(o, d, reciprocal, rect_axis(i) - 1u, g_center[i], g_extent[i]);
     uint id = SPHERE_COUNT + i;
-    vec3 center = row(id, GEOMETRY).xyz, normal = row(id, NORMAL).xyz;
+    uint axis = rect_axis(i);
+    vec3 center = PRELOAD ? g_center[i] : row(id, GEOMETRY).xyz;
+    if (axis != 0u) return hit_aligned(o, d, reciprocal, axis - 1u, center, PRELOAD ? g_extent[i] : row(id, EXTENT).xyz);
+    vec3 normal = row(id, NORMAL).xyz;
     if (is_disk(i)) return hit_disk(o, d, center, normal, row(id, DUAL_U).xyz, row(id, DUAL_V).xyz);
     return hit_rectangle(o, d, center, normal, row(id, DUAL_U), row(id, DUAL_V));
 }
@@ -148,6 +156,24 @@ vec3 checkered(uint id, bool rect, vec3 p, vec3 albedo) {
     return second.w == 0.0 || upper.x == upper.y ? albedo : second.rgb;
 }
 
+// A hit of a rectangle or disk of any orientation, pulled back into its plane and off its edge.
+vec3 pulled_inside(uint id, vec3 p, vec3 center) {
+    vec4 half_u = row(id, HALF_U);
+    vec4 half_v = row(id, HALF_V);
+    vec3 f = p - center;
+    float a = dot(f, row(id, DUAL_U).xyz);
+    float b = dot(f, row(id, DUAL_V).xyz);
+    if (is_disk(id - SPHERE_COUNT)) {
+        float inside = min(1.0, half_u.w * inversesqrt(max(a * a + b * b, 1e-30)));
+        a *= inside;
+        b *= inside;
+    } else {
+        a = clamp(a, -half_u.w, half_u.w);
+        b = clamp(b, -half_v.w, half_v.w);
+    }
+    return center + a * half_u.xyz + b * half_v.xyz;
+}
+
 // The hit, pulled back onto its surface: a ray's far end is less exact than the surface is.
 Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
     Vertex v;
@@ -182,22 +208,15 @@ Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
         v.p = clamp(p, center - inner, center + inner);
     } else {
         vec3 center = row(id, GEOMETRY).xyz;
-        v.n = row(id, NORMAL).xyz;
+        vec4 normal = row(id, NORMAL);
+        v.n = normal.xyz;
         v.albedo = row(id, ALBEDO).rgb;
-        vec4 half_u = row(id, HALF_U);
-        vec4 half_v = row(id, HALF_V);
-        vec3 f = p - center;
-        float a = dot(f, row(id, DUAL_U).xyz);
-        float b = dot(f, row(id, DUAL_V).xyz);
-        if (is_disk(id - SPHERE_COUNT)) {
-            float inside = min(1.0, half_u.w * inversesqrt(max(a * a + b * b, 1e-30)));
-            a *= inside;
-            b *= inside;
+        if (normal.w != 0.0) {
+            vec3 inner = row(id, INNER).xyz;
+            v.p = clamp(p, center - inner, center + inner);
         } else {
-            a = clamp(a, -half_u.w, half_u.w);
-            b = clamp(b, -half_v.w, half_v.w);
+            v.p = pulled_inside(id, p, center);
         }
-        v.p = center + a * half_u.xyz + b * half_v.xyz;
     }
     if (CHECKERS) v.albedo = checkered(id, rect, v.p, v.albedo);
     v.front = dot(d, v.n) < 0.0;

@@ -147,7 +147,7 @@ impl ErrorBench {
         renderer.set_seed(key.seed);
         let start = Instant::now();
         renderer.finish()?;
-        let outputs = renderer.outputs()?;
+        let radiance = renderer.radiance()?;
         let wall_ms = start.elapsed().as_secs_f64() * 1e3;
         let stats = renderer.stats()?;
         let rgb = |planes: [&[f32]; 3]| -> Result<f64> {
@@ -157,9 +157,9 @@ impl ErrorBench {
         let noisy = Outcome { relmse: rgb(image.rgb("")?)?, device_ms: stats.device_ms, wall_ms };
         let mut reconstructed = None;
         if let Some(denoiser) = &self.denoiser {
-            let guides = Guides::of(&outputs, denoiser.preparation().inputs, Axes::default());
+            let guides = Guides::of(&renderer.outputs()?, denoiser.preparation().inputs, Axes::default());
             let start = Instant::now();
-            let (planes, timings) = denoiser.run(&outputs.radiance, &guides)?;
+            let (planes, timings) = denoiser.run(&radiance, &guides)?;
             let wall_ms = wall_ms + start.elapsed().as_secs_f64() * 1e3;
             let [r, g, b] = &planes;
             let device_ms = stats.device_ms + timings.device_ms;
@@ -184,12 +184,15 @@ impl ErrorBench {
             aa: self.aa,
             bounces: self.bounces,
             seed: key.seed,
+            // Only the network reads them.
+            aovs: self.denoiser.is_some(),
             ..Settings::default()
         };
         let mut warm_up = Renderer::new(&self.gpu, &self.scene, &settings(1))?;
         warm_up.finish()?;
-        let outputs = warm_up.outputs()?;
+        warm_up.radiance()?;
         if let Some(denoiser) = &self.denoiser {
+            let outputs = warm_up.outputs()?;
             let guides = Guides::of(&outputs, denoiser.preparation().inputs, Axes::default());
             denoiser.run(&outputs.radiance, &guides)?;
         }

@@ -2,6 +2,7 @@
 
 pub mod error;
 pub mod network;
+pub mod skip;
 
 use crate::gpu::{Commands, Gpu};
 use crate::{Result, push_block, shaders};

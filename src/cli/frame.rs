@@ -327,6 +327,7 @@ impl<'a> Work<'a> {
             && wanted.iter().all(|(name, value)| image.attributes.get(*name) == Some(value))
             && image.attributes.get("weights").map(String::as_str) == weights
             && image.has_rgb("variance") == (s.batch_size() > 0)
+            && image.has_rgb("albedo") == s.aovs
     }
 
     /// For people: what was done and how fast.

@@ -82,8 +82,16 @@ impl Reconstruction {
         Some(json!({
             "tiles": tiling.count(), "core": [core.0, core.1], "window": [window.0, window.1], "overlap": tiling.overlap(),
             "exact_overlap": tiling.exact_overlap(), "blend": tiling.blend(), "exact": tiling.is_exact(),
-            "device_bytes": bytes,
+            "device_bytes": bytes, "skipped": self.skipped(),
         }))
+    }
+
+    /// Tiles of the last picture in which nothing was noisy.
+    fn skipped(&self) -> u32 {
+        match &self.made {
+            Some((_, Made::Tiled(denoiser))) => denoiser.skipped(),
+            _ => 0,
+        }
     }
 
     /// A line about the last picture where it is not what the whole frame gives.

@@ -68,6 +68,9 @@ pub struct Args {
     /// Add the variance of the mean, variance.R/G/B (needs --sampler pcg and at least 8 samples)
     #[arg(long)]
     pub variance: bool,
+    /// Write the radiance alone, without the first hits' albedo, normal and depth
+    #[arg(long, conflicts_with = "denoise")]
+    pub no_aovs: bool,
     /// Frames of the animation of `spheres:N`: A..B without B, A..=B with it; writes OUT.0007.exr and so on
     #[arg(long, value_name = "A..B", value_parser = parse_frames)]
     pub frames: Option<Range<u32>>,
@@ -175,6 +178,7 @@ impl Args {
             aa: self.aa,
             variance: self.variance,
             halves: self.until.is_some(),
+            aovs: !self.no_aovs,
         };
         Ok(Frame { number: frame, family_version: spec.family_version(), scene, settings, goal, left_out })
     }
@@ -249,7 +253,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
     let settings = json!({
         "width": last.scene.camera.width, "height": last.scene.camera.height, "spp": s.spp, "seed": args.seed,
         "bounces": s.bounces, "estimator": s.estimator.to_string(), "sampler": s.sampler.to_string(), "aa": s.aa,
-        "variance": s.variance, "until": args.until, "time_s": args.time.map(|time| time.as_secs_f64()), "denoise": args.denoise, "exposure_ev": args.exposure,
+        "variance": s.variance, "aovs": s.aovs, "until": args.until, "time_s": args.time.map(|time| time.as_secs_f64()), "denoise": args.denoise, "exposure_ev": args.exposure,
         "tile": args.tiles.tile, "overlap": args.tiles.overlap, "blend": args.tiles.blend, "max_memory_mib": args.tiles.max_memory,
         "weights": work.network.as_ref().map(Reconstruction::describe),
     });

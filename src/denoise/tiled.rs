@@ -20,6 +20,8 @@ pub struct TiledDenoiser {
     tiling: Tiling,
     /// A window of each of [`Inputs::planes`].
     planes: Vec<Buffer>,
+    /// Tiles of the last frame in which every pixel was exact.
+    skipped: u32,
 }
 
 /// Pixels of the frame that the device holds at once: a window's, and at least a row of bins.
@@ -40,6 +42,22 @@ fn add(sum: &mut Timings, part: &Timings) {
     sum.wall_ms += part.wall_ms;
 }
 
+/// Copies a core into the planes r, g, b where every pixel of it is exact (1 in the fourth place of the radiance), and says so.
+fn keep_exact(radiance: Plane, core: Rect, width: u32, result: &mut [Vec<f32>; 3]) -> bool {
+    let pixels = || {
+        (core.y..core.y + core.height)
+            .flat_map(move |y| (core.x..core.x + core.width).map(move |x| y as usize * width as usize + x as usize))
+    };
+    if !pixels().all(|i| radiance(i)[3] > 0.5) {
+        return false;
+    }
+    for i in pixels() {
+        let value = radiance(i);
+        result.iter_mut().zip(value).for_each(|(plane, value)| plane[i] = value);
+    }
+    true
+}
+
 impl TiledDenoiser {
     /// The memory that [`Self::new`] will take; nothing more is allocated later.
     #[must_use]
@@ -56,7 +74,7 @@ impl TiledDenoiser {
         network.plan.record(&mut rec, &network.parameters)?;
         let plane = |(name, _): &(&str, _)| gpu.buffer(name, plane_pixels(&tiling) * PIXEL_BYTES);
         let planes = network.preparation.inputs.planes().iter().map(plane).collect::<Result<_>>()?;
-        Ok(Self { network, forward: rec.finish()?, tiling, planes })
+        Ok(Self { network, forward: rec.finish()?, tiling, planes, skipped: 0 })
     }
 
     /// The kernels in use.
@@ -76,20 +94,31 @@ impl TiledDenoiser {
         let mut blended = self.tiling.blend().then(|| [(); 3].map(|()| vec![0.0; result[0].len()]));
         let mut timings = self.measure(frame)?;
         let count = self.tiling.count();
+        self.skipped = 0;
         for (i, tile) in self.tiling.tiles().enumerate() {
-            // A single tile is on the device since it was measured.
-            if count > 1 {
-                self.upload(frame, tile.window.within(self.tiling.size()))?;
+            if blended.is_none() && keep_exact(frame[0], tile.core.within(self.tiling.size()), width, &mut result) {
+                self.skipped += 1;
+            } else {
+                // A single tile is on the device since it was measured.
+                if count > 1 {
+                    self.upload(frame, tile.window.within(self.tiling.size()))?;
+                }
+                let (pixels, part) = self.compute(&tile)?;
+                match &mut blended {
+                    Some(sums) => self.blend(&tile, &pixels, sums),
+                    None => self.write(&tile, &pixels, &mut result),
+                }
+                add(&mut timings, &part);
             }
-            let (pixels, part) = self.compute(&tile)?;
-            match &mut blended {
-                Some(sums) => self.blend(&tile, &pixels, sums),
-                None => self.write(&tile, &pixels, &mut result),
-            }
-            add(&mut timings, &part);
             progress((i + 1) as f64 / f64::from(count));
         }
         Ok((blended.map_or(result, |sums| sums.map(|plane| plane.iter().map(|&v| v as f32).collect())), timings))
+    }
+
+    /// Tiles of the last frame that the network did not see because all their pixels were exact.
+    #[must_use]
+    pub fn skipped(&self) -> u32 {
+        self.skipped
     }
 
     /// Finds the exposure and the depth scale of a frame, strip by strip, for the tiles that follow.

@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::pack::{Frame, order};
 use super::settings::{Estimator, Sampler, Settings};
+use crate::named::named;
 use crate::scene::{Geometry, Scene, Shape};
 use crate::shaders;
 
@@ -51,9 +52,63 @@ pub struct Features {
     pub variance: bool,
     /// As in [`Settings`].
     pub halves: bool,
+    /// As in [`Settings`].
+    pub aovs: bool,
 }
 
+/// What pipelines leave out where a scene does not need it, and what shows a gain by itself. Whether it is left out changes no bit
+/// of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Skip {
+    /// Loops over the primitives, read from a buffer: few are held in registers, each with its orientation known.
+    Loops,
+    /// Shadow tests against rectangles that bound the scene.
+    ShadowTests,
+    /// The far sides of outward spheres.
+    FarSides,
+    /// The lookup of a second reflectance.
+    Checkers,
+    /// First-hit values.
+    Aovs,
+}
+
+named!(
+    Skip,
+    "skipped feature",
+    Loops = "loops",
+    ShadowTests = "shadow-tests",
+    FarSides = "far-sides",
+    Checkers = "checkers",
+    Aovs = "aovs"
+);
+
 impl Features {
+    /// The same with something that the scene does not need; with [`Skip::Loops`] it is what scenes of more than
+    /// [`MAX_UNROLLED`] spheres or rectangles get.
+    #[must_use]
+    pub fn with(mut self, skip: Skip) -> Self {
+        match skip {
+            Skip::Loops => self.preload = false,
+            Skip::ShadowTests => self.rect_blockers = u32::MAX,
+            Skip::FarSides => self.camera_inside = true,
+            Skip::Checkers => self.checkers = true,
+            Skip::Aovs => self.aovs = true,
+        }
+        self
+    }
+
+    /// What these features leave out of `Skip::ALL`.
+    pub fn skips(&self) -> impl Iterator<Item = Skip> {
+        let features = self.clone();
+        Skip::ALL.into_iter().filter(move |&skip| features.clone().with(skip) != features)
+    }
+
+    /// With all of it: the pipeline that renders any scene of these counts and kinds.
+    #[must_use]
+    pub fn generic(&self) -> Self {
+        Skip::ALL.into_iter().fold(self.clone(), Self::with)
+    }
+
     /// Reads them off a scene and its settings.
     pub fn new(scene: &Scene, settings: &Settings) -> Self {
         let shapes: Vec<&Shape> = order(scene).into_iter().map(|i| &scene.shapes[i]).collect();
@@ -90,6 +145,7 @@ impl Features {
             aa: settings.aa,
             variance: settings.batch_size() > 0,
             halves: settings.halves,
+            aovs: settings.aovs,
         }
     }
 
@@ -121,6 +177,7 @@ impl Features {
             antialias: self.aa,
             variance: self.variance,
             halves: self.halves,
+            aovs: self.aovs,
         }
     }
 
@@ -156,6 +213,7 @@ impl Features {
         skip(self.preload, "primitive loops (all primitives in registers)");
         skip(!self.aa, "a camera ray for every sample (one first hit a pixel)");
         skip(!self.variance, "variance");
+        skip(!self.aovs, "first-hit values");
         skip(!self.halves, "the difference of two halves");
         if aligned > 0 {
             skip(true, &format!("general plane tests for {aligned} axis-aligned rectangles"));

@@ -18,7 +18,7 @@ mod renderer;
 mod settings;
 mod state;
 
-pub use features::Features;
+pub use features::{Features, MAX_UNROLLED, Skip};
 pub use goal::{Goal, Next, Pursuit, Reached};
 pub use output::Outputs;
 pub use pack::FilmWindow;

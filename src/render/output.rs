@@ -1,9 +1,9 @@
 //! Results: on the device for the network, as an [`Image`] for files.
 
 use super::renderer::Renderer;
-use crate::Result;
 use crate::gpu::{Buffer, Slice};
 use crate::image::Image;
+use crate::{Error, Result};
 
 /// Results on the device: four f32 a pixel, row by row from the top. The slices stay the same for a renderer's life;
 /// [`Renderer::outputs`] brings their content up to date.
@@ -23,10 +23,18 @@ pub struct Outputs {
 }
 
 impl Renderer {
-    /// The results so far, on the device.
+    /// The radiance so far, on the device: as in [`Outputs`].
+    pub fn radiance(&mut self) -> Result<Slice> {
+        self.resolve()?;
+        Ok(self.state.plane(&self.state.radiance))
+    }
+
+    /// The results so far, on the device. Needs [`Settings::aovs`](super::Settings::aovs).
     pub fn outputs(&mut self) -> Result<Outputs> {
         self.resolve()?;
-        let [albedo, normal_world, screen] = self.state.resolved.as_ref().unwrap_or(&self.state.aov);
+        let Some([albedo, normal_world, screen]) = self.state.resolved.as_ref().or(self.state.aov.as_ref()) else {
+            return Err(Error::input("this render keeps no first-hit values: ask for its radiance, or keep them"));
+        };
         let plane = |buffer: &Buffer| self.state.plane(buffer);
         Ok(Outputs {
             radiance: plane(&self.state.radiance),
@@ -37,10 +45,12 @@ impl Renderer {
         })
     }
 
-    /// The results so far as channels `R,G,B`, `albedo.R/G/B`, `N.X/Y/Z`, `Nscreen.X/Y`, `Z`, and `variance.R/G/B` where
-    /// it is kept, with the settings as attributes.
+    /// The results so far as channels `R,G,B`, `albedo.R/G/B`, `N.X/Y/Z`, `Nscreen.X/Y`, `Z`, and `variance.R/G/B`, where
+    /// they are kept, with the settings as attributes.
     pub fn image(&mut self) -> Result<Image> {
-        let outputs = self.outputs()?;
+        let radiance = self.radiance()?;
+        let outputs = self.settings.aovs.then(|| self.outputs()).transpose()?;
+        let variance = self.state.variance.as_ref().map(|buffer| self.state.plane(buffer));
         let (width, height) = self.size();
         let mut image = Image { width, height, ..Image::default() };
         let mut planes = |slice: &Slice, names: &[&str]| -> Result<()> {
@@ -50,14 +60,16 @@ impl Renderer {
             }
             Ok(())
         };
-        planes(&outputs.radiance, &["R", "G", "B"])?;
-        planes(&outputs.albedo, &["albedo.R", "albedo.G", "albedo.B"])?;
-        planes(&outputs.normal_world, &["N.X", "N.Y", "N.Z"])?;
-        planes(&outputs.screen, &["Nscreen.X", "Nscreen.Y", "Z"])?;
-        if let Some(variance) = &outputs.variance {
+        planes(&radiance, &["R", "G", "B"])?;
+        if let Some(outputs) = outputs {
+            planes(&outputs.albedo, &["albedo.R", "albedo.G", "albedo.B"])?;
+            planes(&outputs.normal_world, &["N.X", "N.Y", "N.Z"])?;
+            planes(&outputs.screen, &["Nscreen.X", "Nscreen.Y", "Z"])?;
+        }
+        if let Some(variance) = variance {
             // Two batches are the least that has a variance.
             if self.samples_done() >= 2 * self.settings.batch_size() {
-                planes(variance, &["variance.R", "variance.G", "variance.B"])?;
+                planes(&variance, &["variance.R", "variance.G", "variance.B"])?;
             }
         }
         let stats = self.stats()?;

@@ -147,7 +147,7 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
             rows.push(row(place(center), 4.0 * lu * lv));
             rows.push(row(shape.albedo, 0.0));
             rows.push(row(shape.radiance, upper));
-            push_plane([u, v], test, inner, rows);
+            push_plane([u, v], axis_of(&shape.geometry), test, inner, rows);
         }
         Geometry::Disk { center, half_u, half_v } => {
             let (u, v) = (half_u * frame.scale, half_v * frame.scale);
@@ -155,7 +155,7 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
             rows.push(row(place(center), PI * u.length() * v.length()));
             rows.push(row(shape.albedo, 0.0));
             rows.push(row(shape.radiance, upper));
-            push_plane([u, v], [1.0; 2], [inner; 2], rows);
+            push_plane([u, v], 0, [1.0; 2], [inner; 2], rows);
         }
     }
     rows.resize(begin + CHECKER_ROW, [0.0; 4]);
@@ -166,11 +166,11 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
     rows.resize(begin + PRIMITIVE_ROWS, [0.0; 4]);
 }
 
-/// The rows of a plane from its normal on: `test` is how far a hit may be from the centre, `inner` how far it is left, in
+/// The rows of a plane from its normal on: `axis` as [`axis_of`] gives it, `test` is how far a hit may be from the centre, `inner` how far it is left, in
 /// halves of the edges.
-fn push_plane([u, v]: [DVec3; 2], test: [f64; 2], inner: [f64; 2], rows: &mut Vec<[f32; 4]>) {
+fn push_plane([u, v]: [DVec3; 2], axis: u32, test: [f64; 2], inner: [f64; 2], rows: &mut Vec<[f32; 4]>) {
     let (lu, lv) = (u.length(), v.length());
-    rows.push(row(u.cross(v).normalize(), 0.0));
+    rows.push(row(u.cross(v).normalize(), f64::from(axis)));
     rows.push(row(u / (lu * lu), test[0]));
     rows.push(row(v / (lv * lv), test[1]));
     rows.push(row(u, inner[0]));

@@ -92,12 +92,16 @@ pub struct Renderer {
 impl Renderer {
     /// Checks the scene, creates pipelines and buffers, uploads.
     pub fn new(gpu: &Gpu, scene: &Scene, settings: &Settings) -> Result<Self> {
+        Self::with_features(gpu, scene, settings, Features::new(scene, settings))
+    }
+
+    /// The same with pipelines for `features`: those of the scene, or more ([`Features::with`]).
+    pub fn with_features(gpu: &Gpu, scene: &Scene, settings: &Settings, features: Features) -> Result<Self> {
         settings.check()?;
         let rows = pack(scene, None)?;
-        let features = Features::new(scene, settings);
         let before = gpu.pipeline_ms();
         let trace = gpu.kernel::<shaders::path_trace::Shader>(&features.path_trace_spec())?;
-        let spec = shaders::resolve::Spec { antialias: features.aa, variance: features.variance };
+        let spec = shaders::resolve::Spec { antialias: features.aa, variance: features.variance, aovs: features.aovs };
         let resolve = gpu.kernel::<shaders::resolve::Shader>(&spec)?;
         let limit = loop_limit(gpu)? / 2;
         let pipeline_ms = gpu.pipeline_ms() - before;

@@ -48,6 +48,8 @@ pub struct Settings {
     /// ([`Renderer::relmse_estimate`](super::Renderer::relmse_estimate)). With `sobol` each half is a net of its own: the
     /// picture's error is that of two nets of half the samples, about 1.1 to 1.2 times that of one.
     pub halves: bool,
+    /// Keep what the camera rays hit: albedo, normal, depth. The network reads them; without, a picture has only radiance.
+    pub aovs: bool,
 }
 
 impl Default for Settings {
@@ -61,6 +63,7 @@ impl Default for Settings {
             aa: false,
             variance: false,
             halves: false,
+            aovs: true,
         }
     }
 }

@@ -18,8 +18,8 @@ pub(super) struct State {
     pub batch: Option<Buffer>,
     /// Even samples less odd ones.
     pub difference: Option<Buffer>,
-    /// First hits: albedo, world normal, screen values; sums where every sample has its own camera ray.
-    pub aov: [Buffer; 3],
+    /// First hits, where they are kept: albedo, world normal, screen values; sums where every sample has its own camera ray.
+    pub aov: Option<[Buffer; 3]>,
     /// What `resolve` writes; the first hits of the shared camera ray need no resolving.
     pub radiance: Buffer,
     pub resolved: Option<[Buffer; 3]>,
@@ -34,6 +34,7 @@ impl State {
     pub(super) fn new(gpu: &Gpu, width: u32, height: u32, features: &Features) -> Result<Self> {
         let pixels = u64::from(width) * u64::from(height);
         let plane = |name: &str| gpu.buffer(name, pixels * VEC4_BYTES);
+        let planes = |[a, b, c]: [&str; 3]| -> Result<[Buffer; 3]> { Ok([plane(a)?, plane(b)?, plane(c)?]) };
         let per_pixel = if features.variance { 3 * VEC4_BYTES } else { VEC4_BYTES };
         let fit = (gpu.info().max_storage_range / (u64::from(width) * per_pixel)).min(u64::from(u32::MAX)) as u32;
         let window_rows = (fit / WINDOW_ALIGNMENT * WINDOW_ALIGNMENT).max(WINDOW_ALIGNMENT);
@@ -45,9 +46,9 @@ impl State {
             counts: plane("counts")?,
             batch: features.variance.then(|| gpu.buffer("batch", 3 * pixels * VEC4_BYTES)).transpose()?,
             difference: features.halves.then(|| plane("difference")).transpose()?,
-            aov: [plane("first albedo")?, plane("first normal")?, plane("first screen")?],
+            aov: features.aovs.then(|| planes(["first albedo", "first normal", "first screen"])).transpose()?,
             radiance: plane("radiance")?,
-            resolved: if features.aa { Some([plane("albedo")?, plane("normal")?, plane("screen")?]) } else { None },
+            resolved: (features.aa && features.aovs).then(|| planes(["albedo", "normal", "screen"])).transpose()?,
             variance: features.variance.then(|| plane("variance")).transpose()?,
             dummy: gpu.buffer("dummy", 256)?,
             window_rows: window_rows.min(height),
@@ -70,6 +71,10 @@ impl State {
         buffer.map_or_else(|| self.dummy.all(), |b| self.window(b, first, size))
     }
 
+    fn aov_window(&self, i: usize, first: u32) -> Slice {
+        self.window_or_dummy(self.aov.as_ref().map(|aov| &aov[i]), first, VEC4_BYTES)
+    }
+
     pub(super) fn path_trace_bind(&self, scene: &Buffer, first: u32) -> shaders::path_trace::Bind {
         let window = |buffer: &Buffer| self.window(buffer, first, VEC4_BYTES);
         shaders::path_trace::Bind {
@@ -77,9 +82,9 @@ impl State {
             total: window(&self.total),
             block: window(&self.block),
             counts: window(&self.counts),
-            albedo: window(&self.aov[0]),
-            normal_world: window(&self.aov[1]),
-            screen: window(&self.aov[2]),
+            albedo: self.aov_window(0, first),
+            normal_world: self.aov_window(1, first),
+            screen: self.aov_window(2, first),
             batch: self.window_or_dummy(self.batch.as_ref(), first, 3 * VEC4_BYTES),
             difference: self.window_or_dummy(self.difference.as_ref(), first, VEC4_BYTES),
         }
@@ -97,7 +102,7 @@ impl State {
     pub(super) fn resolve_bind(&self, first: u32) -> shaders::resolve::Bind {
         let window = |buffer: &Buffer| self.window(buffer, first, VEC4_BYTES);
         let aa = self.resolved.is_some();
-        let sum = |i: usize| if aa { window(&self.aov[i]) } else { self.dummy.all() };
+        let sum = |i: usize| if aa { self.aov_window(i, first) } else { self.dummy.all() };
         let mean = |i: usize| self.window_or_dummy(self.resolved.as_ref().map(|r| &r[i]), first, VEC4_BYTES);
         shaders::resolve::Bind {
             total: window(&self.total),
@@ -121,7 +126,7 @@ impl State {
         list.extend(self.batch.as_ref());
         list.extend(self.difference.as_ref());
         if self.resolved.is_some() {
-            list.extend(self.aov.iter());
+            list.extend(self.aov.iter().flatten());
         }
         list
     }

@@ -1,6 +1,8 @@
-//! `limpid bench`: device times of the network beside what the device can do; error over time of the path tracer.
+//! `limpid bench`: device times of the network beside what the device can do; error over time and skipped
+//! features of the path tracer.
 
 mod error;
+mod skip;
 
 use crate::cli::device::{DeviceArgs, KernelArgs};
 use crate::cli::render::parse_size;
@@ -21,7 +23,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Time the network on the device: by layer, whole, or a training step; or the path tracer: error over time
+/// Time the network on the device: by layer, whole, or a training step; or the path tracer: error over time, skipped features
 ///
 /// Of the network it prints device milliseconds (median, shortest and longest run after a warm-up), GFLOP/s in operations of the direct
 /// convolution (two a multiply-accumulate, whatever a kernel saves of them), the least bytes to move, and the share of
@@ -43,6 +45,7 @@ enum What {
     /// A training step, whole and by kernel
     Train(TrainArgs),
     Error(error::Args),
+    Skip(skip::Args),
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -116,6 +119,7 @@ pub fn run(args: &Args) -> Result<u8> {
         What::Net(net) => time_net(net, false),
         What::Train(train) => time_train(train),
         What::Error(args) => error::run(args),
+        What::Skip(args) => skip::run(args),
     }
 }
 

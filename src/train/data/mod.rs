@@ -67,11 +67,15 @@ pub struct Data {
     _pool: Buffer,
 }
 
-fn render(gpu: &Gpu, scene: &Scene, film: Option<FilmWindow>, settings: &Settings) -> Result<Outputs> {
+fn rendered(gpu: &Gpu, scene: &Scene, film: Option<FilmWindow>, settings: &Settings) -> Result<Renderer> {
     let mut renderer = Renderer::new(gpu, scene, settings)?;
     renderer.set_scene_window(scene, film)?;
     renderer.finish()?;
-    renderer.outputs()
+    Ok(renderer)
+}
+
+fn render(gpu: &Gpu, scene: &Scene, film: Option<FilmWindow>, settings: &Settings) -> Result<Outputs> {
+    rendered(gpu, scene, film, settings)?.outputs()
 }
 
 impl Data {
@@ -197,8 +201,9 @@ impl Data {
             pairs.push((&outputs.radiance, &version.radiance));
             copy(&gpu, &pairs)?;
         }
-        let outputs = render(&gpu, &scene, Some(film), &settings(self.settings.reference_spp, best, draw(9)))?;
-        copy(&gpu, &[(&outputs.radiance, &example.reference)])
+        let reference = Settings { aovs: false, ..settings(self.settings.reference_spp, best, draw(9)) };
+        let mut renderer = rendered(&gpu, &scene, Some(film), &reference)?;
+        copy(&gpu, &[(&renderer.radiance()?, &example.reference)])
     }
 
     /// Writes the inputs and targets of step `step` to the device tensors of a batch, of the size that the step has.
