@@ -16,6 +16,7 @@ pub mod render;
 pub mod scene;
 pub mod shaders;
 pub mod shared_constants;
+pub mod stress;
 pub mod train;
 
 pub use error::{Error, Result};

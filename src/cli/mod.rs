@@ -14,6 +14,7 @@ mod render;
 mod report;
 mod scene;
 mod stop;
+mod stress;
 mod tile;
 mod train;
 mod weights;
@@ -44,6 +45,7 @@ enum Command {
     Dataset(dataset::Args),
     Train(Box<train::Args>),
     Bench(bench::Args),
+    Stress(stress::Args),
     Weights(weights::Args),
     Devices(devices::Args),
 }
@@ -58,6 +60,7 @@ pub fn run(cli: &Cli) -> Result<u8> {
         Command::Dataset(args) => dataset::run(args),
         Command::Train(args) => train::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Stress(args) => stress::run(args),
         Command::Weights(args) => weights::run(args),
         Command::Devices(args) => devices::run(args),
     }

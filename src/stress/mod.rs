@@ -1,0 +1,52 @@
+//! Numerical stress: what must hold on every device, so that a driver can be qualified. `limpid stress` runs the cases, and
+//! tests/stress.rs runs each as a test under the validation layer.
+//!
+//! T1 to T37 are about rendering, N1 and on about the network. A case measures and compares with a bar that is derived where
+//! it stands; what cannot be run says why.
+
+mod accumulation;
+mod geometry;
+mod outcome;
+mod platform;
+mod sampling;
+pub mod support;
+mod symmetry;
+mod transport;
+
+pub use outcome::{Checks, Measure, Outcome, Side};
+
+use crate::Result;
+use crate::gpu::Gpu;
+
+/// One case.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    /// `T1`, `N1` and so on.
+    pub number: &'static str,
+    /// A few words.
+    pub name: &'static str,
+    /// What must hold.
+    pub claim: &'static str,
+    run: fn(&Gpu) -> Result<Outcome>,
+}
+
+impl Case {
+    /// Runs it. An error of the renderer or the device is a failure.
+    #[must_use]
+    pub fn run(&self, gpu: &Gpu) -> Outcome {
+        (self.run)(gpu).unwrap_or_else(|error| Outcome::failed(error.to_string()))
+    }
+}
+
+/// All cases, by number.
+#[must_use]
+pub fn cases() -> Vec<Case> {
+    let mut cases: Vec<Case> =
+        [transport::CASES, symmetry::CASES, sampling::CASES, geometry::CASES, accumulation::CASES, platform::CASES]
+            .concat();
+    cases.sort_by_key(|case| {
+        let (kind, number) = case.number.split_at(1);
+        (kind == "N", number.parse::<u32>().unwrap_or(u32::MAX))
+    });
+    cases
+}

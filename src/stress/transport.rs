@@ -1,0 +1,112 @@
+//! Light transport against closed forms.
+
+use super::support::*;
+use super::{Case, Checks, Outcome};
+use crate::Result;
+use crate::gpu::Gpu;
+use crate::image::Image;
+use crate::render::{Estimator, Sampler, Settings};
+use crate::scene::Scene;
+use glam::DVec3;
+
+pub(super) const CASES: &[Case] = &[
+    Case {
+        number: "T1",
+        name: "furnace",
+        claim: "in a closed scene where all emits and reflects alike every path of `cosine` sums to L(1-a^(B+1))/(1-a), at 13 scales from 1e-6 to 1e6; the other estimators do in the mean",
+        run: furnace_case,
+    },
+    Case {
+        number: "T2",
+        name: "concentric spheres",
+        claim: "a black emitter in the middle of a grey cavity lights the wall by the closed form, after 1, 2, 4 and 8 reflections",
+        run: concentric_spheres,
+    },
+    Case {
+        number: "T3",
+        name: "point light in a sphere",
+        claim: "a point light in the middle of a grey sphere lights it by the closed form",
+        run: |_| Ok(Outcome::not_run("there are no point lights yet")),
+    },
+];
+
+fn furnace_exact(radiance: f64, albedo: f64, bounces: i32) -> f64 {
+    radiance * (1.0 - albedo.powi(bounces + 1)) / (1.0 - albedo)
+}
+
+/// Box and five spheres, everything emits `radiance` and reflects `albedo`, the camera inside.
+pub(super) fn furnace(radiance: f64, albedo: f64, size: u32) -> Scene {
+    let mut shapes = closed_box(albedo, radiance);
+    for (c, r) in [
+        ([-0.5, -0.65, -0.3], 0.35),
+        ([0.45, -0.7, 0.2], 0.3),
+        ([0.5, 0.1, -0.5], 0.25),
+        ([-0.45, 0.1, 0.2], 0.2),
+        ([0.1, 0.55, 0.1], 0.2),
+    ] {
+        shapes.push(sphere(c, r, albedo, radiance));
+    }
+    Scene { camera: look(DVec3::new(0.1, 0.0, 0.9), DVec3::new(0.0, 0.0, -1.0), 90.0, size, size), shapes }
+}
+
+/// Every path of the cosine estimator returns the same sum, so a single wrong path shows in its pixel.
+/// 1e-5: eight f32 additions and multiplications, 16 roundings of 6e-8.
+pub(super) fn wrong_paths(image: &Image, expected: f64) -> usize {
+    channel(image, "R").into_iter().filter(|v| !((v / expected - 1.0).abs() <= 1e-5)).count()
+}
+
+fn furnace_case(gpu: &Gpu) -> Result<Outcome> {
+    const WRONG: &str = "wrong of 262,144 paths";
+    let mut checks = Checks::default();
+    let expected = furnace_exact(1.0, 0.5, 8);
+    for sampler in [Sampler::Pcg, Sampler::Sobol] {
+        for aa in [false, true] {
+            // One sample: a pixel is a path.
+            let s = Settings { aa, ..settings(1, 8, (Estimator::Cosine, sampler)) };
+            let image = render(gpu, &furnace(1.0, 0.5, 512), &s)?;
+            checks.none(WRONG, wrong_paths(&image, expected), format_args!("{sampler}, aa {aa}"));
+        }
+    }
+    for power in -6..=6 {
+        let scene = placed(furnace(1.0, 0.5, 512), 10f64.powi(power), DVec3::ZERO);
+        let image = render(gpu, &scene, &settings(1, 8, (Estimator::Cosine, Sampler::Pcg)))?;
+        checks.none(WRONG, wrong_paths(&image, expected), format_args!("scale 1e{power}"));
+    }
+    furnace_in_a_sphere(gpu, &mut checks)?;
+    for choice in TECHNIQUES.into_iter().filter(|(e, _)| *e != Estimator::Cosine) {
+        for aa in [false, true] {
+            let s = Settings { aa, ..settings(32, 8, choice) };
+            let values = channel(&render(gpu, &furnace(1.0, 0.5, 96), &s)?, "G");
+            check_mean(&mut checks, &values, expected, (0.0, 2e-3), &format_args!("{choice:?}, aa {aa}"));
+        }
+    }
+    Ok(checks.outcome())
+}
+
+fn furnace_in_a_sphere(gpu: &Gpu, checks: &mut Checks) -> Result<()> {
+    let shapes = vec![cavity(1.0, 0.7, 2.0), sphere([0.3, 0.1, 0.0], 0.25, 0.7, 2.0)];
+    let scene = Scene { camera: look(DVec3::new(-0.5, 0.0, 0.2), DVec3::X, 80.0, 256, 256), shapes };
+    for bounces in [0, 1, 8] {
+        let image = render(gpu, &scene, &settings(1, bounces, (Estimator::Cosine, Sampler::Pcg)))?;
+        let wrong = wrong_paths(&image, furnace_exact(2.0, 0.7, bounces as i32));
+        checks.none("wrong of 65,536 paths in a sphere", wrong, format_args!("{bounces} reflections"));
+    }
+    Ok(())
+}
+
+/// A black emitter of radius 0.3 in a cavity of radius 1, albedo 0.8, radiance 5.
+fn concentric_spheres(gpu: &Gpu) -> Result<Outcome> {
+    let mut checks = Checks::default();
+    let shapes = vec![cavity(1.0, 0.8, 0.0), sphere([0.0; 3], 0.3, 0.0, 5.0)];
+    let scene = Scene { camera: look(DVec3::new(0.7, 0.0, 0.0), DVec3::new(0.6, 0.5, 1.0), 70.0, 96, 96), shapes };
+    for choice in TECHNIQUES {
+        for (bounces, expected) in [(1, 0.36000), (2, 0.62208), (4, 0.95177), (8, 1.21911)] {
+            let values = surface(&render(gpu, &scene, &settings(64, bounces, choice))?, "R");
+            let at = format!("{choice:?}, {bounces} reflections");
+            checks.at_least("pixels", values.len() as f64, 4000.0, &at);
+            // 1e-4: rays start 2e-5 off the wall, which brings them closer to the emitter: (1 - 2e-5)^-2 a bounce.
+            check_mean(&mut checks, &values, expected, (1e-4, 0.01), &at);
+        }
+    }
+    Ok(checks.outcome())
+}
