@@ -170,8 +170,10 @@ void main() {
             aov_screen[index] = sum_screen;
         }
         if (exact) {
-            total[index] = vec4(first_radiance, 1.0);
-            counts[index].x += rays;
+            // The pixel has this radiance on every sample, so all of them are dropped where it is invalid.
+            bool dropped = invalid(first_radiance);
+            total[index] = vec4(dropped ? vec3(0.0) : first_radiance, 1.0);
+            counts[index] += uvec4(rays, 0u, dropped ? 1u : 0u, 0u);
             return;
         }
         vertex = first;
@@ -249,8 +251,11 @@ void main() {
             }
             sample_index += 1u;
             if (sample_index % BLOCK_SIZE == 0u) {
-                sum_total.rgb += sum_block;
-                sum_block = vec3(0.0);
+                // What the sum loses in rounding goes into the next block (Kahan), so that sums of any length are exact to f32.
+                precise vec3 sum = sum_total.rgb + sum_block;
+                precise vec3 lost = sum_block - (sum - sum_total.rgb);
+                sum_total.rgb = sum;
+                sum_block = lost;
             }
             depth = 0u;
             if (ANTIALIAS) {
