@@ -12,6 +12,8 @@ use crate::scene::{Checker, Geometry, Scene, Shape};
 const CAMERA_ROWS: usize = 4;
 /// Rows of one primitive (glsl/path_trace.comp names them).
 const PRIMITIVE_ROWS: usize = 12;
+/// The row of the first primitive's radiance.
+pub(super) const FIRST_RADIANCE: usize = CAMERA_ROWS + 2;
 /// Rows before those of the checkerboard.
 const CHECKER_ROW: usize = 10;
 

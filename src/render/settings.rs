@@ -1,6 +1,7 @@
 //! What the caller may choose.
 
 use crate::named::named;
+use crate::scene::Scene;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -85,6 +86,18 @@ impl Settings {
             return Err(Error::input(format!("{} bounces: at most {}", self.bounces, Self::MAX_BOUNCES)));
         }
         Ok(())
+    }
+
+    /// Refuses variance where squares of radiance leave the range of f32: it would come out infinite, or 0 where there is noise.
+    pub(super) fn check_variance(&self, scene: &Scene) -> Result<()> {
+        let largest = scene.shapes.iter().map(|shape| shape.radiance.max_element()).fold(0.0, f64::max);
+        if self.batch_size() == 0 || largest == 0.0 || (1e-15..=1e15).contains(&largest) {
+            return Ok(());
+        }
+        Err(Error::input(format!(
+            "variance of a scene with radiance up to {largest:e}: its squares leave the range of f32; scale the radiance to \
+             between 1e-15 and 1e15, or render without variance"
+        )))
     }
 }
 
