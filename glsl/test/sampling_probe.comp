@@ -10,7 +10,7 @@ layout(set = 0, binding = 0, std430) writeonly buffer Values { vec4 values[]; };
 
 layout(push_constant) uniform Push {
     uint count;
-    uint kind;      // 0 numbers, 1 sphere, 2 hemisphere, 3 cosine, 4 cone, 5 the number of random1
+    uint kind;      // 0 numbers, 1 sphere, 2 hemisphere, 3 cosine, 4 cone, 5 the number of random1, 6 cones
     uint sampler_kind;
     uint per_pixel; // samples of one pixel
     uint seed;
@@ -40,6 +40,10 @@ void main() {
         value.w = one_minus_cos;
         break;
     case 5u: value = vec4(random1(sampler_kind, key, i % per_pixel, dimension)); break;
+    case 6u: // (radius / distance)^2 from 1 down to 2^-47, or from 0 up to 1 - 2^-23, and 1 - cos of the cone
+        value.x = i % 2u == 0u ? exp2(-47.0 * u.x) : 1.0 - exp2(-23.0 * u.x);
+        value.y = cone_one_minus_cos(value.x);
+        break;
     default: value = vec4(0.0 / 0.0);
     }
     values[i] = value;

@@ -6,14 +6,19 @@
 
 mod accumulation;
 mod geometry;
+mod intersection;
+mod lights;
 mod outcome;
 mod platform;
 mod sampling;
+mod scenes;
 pub mod support;
 mod symmetry;
 mod transport;
+mod welch;
 
 pub use outcome::{Checks, Measure, Outcome, Side};
+pub use welch::estimators_agree;
 
 use crate::Result;
 use crate::gpu::Gpu;
@@ -41,9 +46,18 @@ impl Case {
 /// All cases, by number.
 #[must_use]
 pub fn cases() -> Vec<Case> {
-    let mut cases: Vec<Case> =
-        [transport::CASES, symmetry::CASES, sampling::CASES, geometry::CASES, accumulation::CASES, platform::CASES]
-            .concat();
+    let mut cases: Vec<Case> = [
+        transport::CASES,
+        lights::CASES,
+        symmetry::CASES,
+        sampling::CASES,
+        intersection::CASES,
+        geometry::CASES,
+        scenes::CASES,
+        accumulation::CASES,
+        platform::CASES,
+    ]
+    .concat();
     cases.sort_by_key(|case| {
         let (kind, number) = case.number.split_at(1);
         (kind == "N", number.parse::<u32>().unwrap_or(u32::MAX))

@@ -1,11 +1,11 @@
 //! Light transport against closed forms.
 
 use super::support::*;
-use super::{Case, Checks, Outcome};
+use super::{Case, Checks, Outcome, welch};
 use crate::Result;
 use crate::gpu::Gpu;
 use crate::image::Image;
-use crate::render::{Estimator, Sampler, Settings};
+use crate::render::{Estimator, Renderer, Sampler, Settings};
 use crate::scene::Scene;
 use glam::DVec3;
 
@@ -28,9 +28,28 @@ pub(super) const CASES: &[Case] = &[
         claim: "a point light in the middle of a grey sphere lights it by the closed form",
         run: |_| Ok(Outcome::not_run("there are no point lights yet")),
     },
+    Case {
+        number: "T6",
+        name: "faces of a cube",
+        claim: "a ceiling that emits evenly lights floor and wall of a black cube by the view factors 0.199825 and 0.200044",
+        run: cube_faces,
+    },
+    Case {
+        number: "T7",
+        name: "reflections add light",
+        claim: "no light gives 0, no reflection only what emits, more reflections more light by a falling amount",
+        run: reflections_add_light,
+    },
+    Case {
+        number: "T8",
+        name: "estimators agree",
+        claim: "means of 8x8 blocks agree between estimators and samplers by Welch's test, which sees 1 % too much light",
+        run: |gpu| welch::estimators_agree(gpu, 96, 32),
+    },
 ];
 
-fn furnace_exact(radiance: f64, albedo: f64, bounces: i32) -> f64 {
+/// What every path of it returns.
+pub(super) fn furnace_exact(radiance: f64, albedo: f64, bounces: i32) -> f64 {
     radiance * (1.0 - albedo.powi(bounces + 1)) / (1.0 - albedo)
 }
 
@@ -107,6 +126,78 @@ fn concentric_spheres(gpu: &Gpu) -> Result<Outcome> {
             // 1e-4: rays start 2e-5 off the wall, which brings them closer to the emitter: (1 - 2e-5)^-2 a bounce.
             check_mean(&mut checks, &values, expected, (1e-4, 0.01), &at);
         }
+    }
+    Ok(checks.outcome())
+}
+
+/// One face of the black cube [-0.5, 0.5]^3 reflects, and the camera before the face opposite sees just that face. The film is
+/// parallel to it, so samples are uniform on the face and their mean is the face's.
+fn cube_faces(gpu: &Gpu) -> Result<Outcome> {
+    let mut checks = Checks::default();
+    const FLOOR: usize = 3;
+    const CEILING: usize = 2;
+    // The camera is 0.99 off the face, so inside the cube.
+    let (distance, radiance, albedo) = (0.99, 3.0, 0.8);
+    let fov = 2.0 * (0.5f64 / distance).atan().to_degrees();
+    for (face, from, factor) in
+        [(FLOOR, DVec3::new(0.0, distance - 0.5, 0.0), 0.199_825), (0, DVec3::new(0.5 - distance, 0.0, 0.0), 0.200_044)]
+    {
+        let mut shapes = closed_box(0.0, 0.0);
+        shapes[CEILING].radiance = DVec3::splat(radiance);
+        shapes[face].albedo = DVec3::splat(albedo);
+        let scene =
+            placed(Scene { camera: look(from * 2.0, from * 2.0 - from, fov, 32, 32), shapes }, 0.5, DVec3::ZERO);
+        for choice in TECHNIQUES {
+            let at = format!("{choice:?}, face {face}");
+            let spp = if choice.0 == Estimator::Nee { 64 } else { 256 };
+            let mut renderer = Renderer::new(gpu, &scene, &Settings { aa: true, ..settings(spp, 1, choice) })?;
+            // The face is not lit evenly: how much the mean is off shows between seeds, not between pixels.
+            let mean = |seed| {
+                renderer.set_seed(seed);
+                renderer.finish()?;
+                let image = renderer.image()?;
+                let seen = image.channels["albedo.R"].iter().filter(|&&a| f64::from(a) > 0.999 * albedo).count();
+                checks.count("pixels of other faces", seen as u64, 32 * 32, &at);
+                Ok(mean_error(&channel(&image, "R")).0)
+            };
+            let means = (0..24).map(mean).collect::<Result<Vec<f64>>>()?;
+            // 2e-4: rays start 2e-5 of the half side off the face, and the camera's rays round to 1e-7 of the side; factors are
+            // given to 2.5e-6.
+            check_mean(&mut checks, &means, albedo * radiance * factor, (2e-4, 1e-3), &at);
+        }
+    }
+    Ok(checks.outcome())
+}
+
+fn reflections_add_light(gpu: &Gpu) -> Result<Outcome> {
+    let mut checks = Checks::default();
+    let mut dark = cornell(32);
+    dark.shapes.iter_mut().for_each(|s| s.radiance = DVec3::ZERO);
+    for choice in TECHNIQUES {
+        let image = render(gpu, &dark, &settings(4, 8, choice))?;
+        let lit = image.channels["R"].iter().filter(|&&v| v != 0.0).count();
+        checks.none("pixels lit without a light", lit, format_args!("{choice:?}"));
+        let image = render(gpu, &cornell(32), &settings(4, 0, choice))?;
+        let other = image.channels["R"].iter().filter(|&&v| v != 0.0 && v != 12.0).count();
+        checks.none("pixels lit without a reflection", other, format_args!("{choice:?}"));
+        checks.holds(
+            "frames in which the light is not seen",
+            image.channels["R"].contains(&12.0),
+            format_args!("{choice:?}"),
+        );
+    }
+    let mean = |bounces| {
+        let image = render(gpu, &cornell(64), &settings(64, bounces, (Estimator::Nee, Sampler::Sobol)))?;
+        Ok(mean_error(&channel(&image, "R")).0)
+    };
+    let means = [0, 1, 2, 3, 4, 8].into_iter().map(mean).collect::<Result<Vec<f64>>>()?;
+    let at = format!("{means:?}");
+    for pair in means.windows(2) {
+        checks.holds("reflections that take light away", pair[1] > pair[0], &at);
+    }
+    // From the second on each adds at most the largest albedo times the last; 1.05 for noise.
+    for t in means[1..5].windows(3) {
+        checks.at_most("what a reflection adds over the one before", (t[2] - t[1]) / (t[1] - t[0]), 0.725 * 1.05, &at);
     }
     Ok(checks.outcome())
 }
