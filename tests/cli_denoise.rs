@@ -51,6 +51,39 @@ fn where_nothing_is_noisy_nothing_is_reconstructed() {
     assert_eq!(cli.bytes("a.exr"), cli.bytes("b.exr"));
 }
 
+/// Whatever another program left in a file: counted, and gone; in pixels that count as exact too.
+#[test]
+fn bad_pixels_are_repaired_and_counted() {
+    let cli = Cli::new();
+    cli.weights();
+    cli.render(&["-o", "a.exr", "--size", "40x24", "--spp", "1"]);
+    let count = |image: &Image, name: &str| image.channels[name].iter().filter(|v| !v.is_finite() || **v < 0.0).count();
+    for (bounces, expected) in [("8", 7), ("0", 7), ("8", 0)] {
+        let mut image = cli.image("a.exr");
+        image.attributes.insert("bounces".into(), bounces.into());
+        for (i, value) in
+            [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -1.0, -0.0].into_iter().enumerate().take(expected)
+        {
+            image.channels.get_mut("G").unwrap()[17 + 100 * i] = value;
+        }
+        // The first pixels are outside of the box: nothing, so exact.
+        for pixel in 0..expected.min(3) {
+            image.channels.get_mut("R").unwrap()[pixel] = f32::NAN;
+        }
+        exr::write(&image, cli.path("bad.exr")).unwrap();
+        let report =
+            cli.json(&["denoise", "bad.exr", "-o", "b.exr", "--weights", "w.safetensors", "--validation", "--json"]);
+        assert_eq!(report["repaired_pixels"], expected, "{bounces} bounces");
+        let clean = cli.image("b.exr");
+        assert_eq!(["R", "G", "B"].map(|name| count(&clean, name)), [0; 3]);
+        if expected > 0 || bounces == "8" {
+            assert_eq!(clean.attributes["repairedPixels"], expected.to_string());
+        }
+    }
+    let report = cli.report(&[&DENOISE[..], &["-o", "c.exr", "--size", "24x24", "--spp", "1"]].concat());
+    assert_eq!((report["repaired_pixels"].as_u64(), &*cli.image("c.exr").attributes["repairedPixels"]), (Some(0), "0"));
+}
+
 #[test]
 fn what_cannot_be_denoised() {
     let cli = Cli::new();

@@ -84,6 +84,14 @@ impl Frame {
         })
     }
 
+    /// Pixels with radiance that is not finite or negative, or with a normal or a depth that is not finite.
+    fn bad_pixels(&self) -> u64 {
+        let bad = |(radiance, screen): &(&[f32; 4], &[f32; 4])| {
+            radiance[..3].iter().any(|v| !v.is_finite() || *v < 0.0) || screen[..3].iter().any(|v| !v.is_finite())
+        };
+        self.radiance.iter().zip(&self.screen).filter(bad).count() as u64
+    }
+
     fn size(&self) -> (u32, u32) {
         (self.width as u32, self.height as u32)
     }
@@ -266,6 +274,7 @@ fn exposure_and_depth_of_a_frame() {
             assert!(rtol < 3e-3, "{what}: {rtol} would pass anything");
             require(&format!("{what}: exposure"), close(&actual[..1], &[exposure], 0.0, rtol));
             require(&format!("{what}: depth"), close(&actual[1..2], &[scale], 0.0, 3.0 * ULP));
+            assert_eq!(FrameStats::repaired(std::array::from_fn(|i| actual[i])), frame.bad_pixels(), "{what}");
         }
     }
 }
@@ -275,15 +284,15 @@ fn frames_without_light_or_depth_have_neutral_stats() {
     let gpu = gpu();
     let mut frame = Frame::constant(20, 20, 0.0);
     frame.screen.fill([0.0; 4]);
-    for radiance in [0.0, f32::NAN, f32::INFINITY, -1.0, 1e-30] {
-        frame.radiance.fill([radiance, radiance, radiance, 0.0]);
+    for (value, repaired) in [(0.0, 0.0), (f32::NAN, 400.0), (f32::INFINITY, 400.0), (-1.0, 400.0), (1e-30, 0.0)] {
+        frame.radiance.fill([value, value, value, 0.0]);
         let [radiance, screen] = frame.upload(&gpu);
         let out = gpu.buffer("stats", 16).unwrap().slice(0, 16);
         let (mut rec, guides) = (gpu.recorder(), Guides::NormalScreenDepth { screen });
         let stats = FrameStats::new(&gpu, Transfer::Log1p, 20, 20).unwrap();
         stats.record(&mut rec, &radiance, &guides, &out).unwrap();
         rec.finish().unwrap().run().unwrap();
-        assert_eq!(gpu.download::<f32>(&out).unwrap(), [1.0, 1.0, 0.0, 0.0]);
+        assert_eq!(gpu.download::<f32>(&out).unwrap(), [1.0, 1.0, repaired, 0.0]);
     }
 }
 

@@ -1,17 +1,20 @@
 #version 460
-// Exposure and depth of a frame, bin by bin: log2 of the mean luminance, whether it counts, largest depth. Bins have 16x16
+// Exposure and depth of a frame, bin by bin: log2 of the mean luminance, whether it counts, largest depth, and how many pixels
+// hold what must be repaired: radiance that is no number, infinite or negative, or guides that are not finite. Bins have 16x16
 // pixels, those at the right and lower end fewer; for `pu` the frame is shared out evenly among as many bins.
 // The frame may come in strips that hold whole rows of bins.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
+#include "lib/valid.glsl"
 
 layout(constant_id = 0) const uint TRANSFER = TRANSFER_LOG1P;
-layout(constant_id = 1) const bool DEPTH = true;  // false: screen is not read
+layout(constant_id = 1) const bool DEPTH = true;  // the first guide is `screen`, and there is no second
 layout(local_size_x = 64) in;
 
 layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer radiance;  // [pixel]
-layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer screen;    // [pixel]: normal x, y, depth, hit
-layout(set = 0, binding = 2, std430) writeonly buffer Bins { vec4 bins[]; };
+layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer first;     // [pixel]: normal x, y, depth, hit; or albedo
+layout(set = 0, binding = 2, rgba32f) readonly uniform imageBuffer second;    // [pixel]: world normal
+layout(set = 0, binding = 3, std430) writeonly buffer Bins { vec4 bins[]; };
 
 layout(push_constant) uniform Push {
     uint width;   // of the frame
@@ -44,15 +47,19 @@ void main() {
     const uint y1 = bin_begin(bin / bins_x + 1, bins_y, height);
     float sum = 0.0;
     float depth = 0.0;
+    uint repairs = 0u;
     for (uint i = 0; i < 256; ++i) {
         const uint x = x0 + i % 16;
         const uint y = y0 + i / 16;
         if (x >= x1 || y >= y1) continue;
         const int at = int((y - row) * width + x);
-        sum += luminance_of(imageLoad(radiance, at).rgb);
-        const float d = DEPTH ? imageLoad(screen, at).z : 0.0;
-        if (d > depth && d < 1e30) depth = d;
+        const vec3 color = imageLoad(radiance, at).rgb;
+        const vec3 guide = imageLoad(first, at).xyz;
+        sum += luminance_of(color);
+        if (DEPTH && guide.z > depth && guide.z < 1e30) depth = guide.z;
+        const bool repaired = invalid_radiance(color) || not_finite(guide) || (!DEPTH && not_finite(imageLoad(second, at).xyz));
+        repairs += repaired ? 1u : 0u;
     }
     const float mean = sum / float((x1 - x0) * (y1 - y0));
-    bins[bin] = mean > 1e-8 ? vec4(log2(mean), 1.0, depth, 0.0) : vec4(0.0, 0.0, depth, 0.0);
+    bins[bin] = mean > 1e-8 ? vec4(log2(mean), 1.0, depth, repairs) : vec4(0.0, 0.0, depth, repairs);
 }

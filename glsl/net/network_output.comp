@@ -1,8 +1,9 @@
 #version 460
-// The network's output as radiance; a pixel that the renderer gave exactly keeps its value.
+// The network's output as radiance; a pixel that the renderer gave exactly keeps its value, if that is a number at all.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
 #include "lib/transfer.glsl"
+#include "lib/valid.glsl"
 
 layout(constant_id = 0) const uint TRANSFER = TRANSFER_LOG1P;
 layout(local_size_x = 64) in;
@@ -25,5 +26,6 @@ void main() {
     const uint at = begin + index;
     const vec4 noisy = imageLoad(radiance, int(at));
     const vec3 t = imageLoad(network, int((at / width) * padded_width + at % width)).rgb;
-    y[index] = noisy.a > 0.5 ? noisy : vec4(from_network(TRANSFER, t, imageLoad(stats, 0).x), 0.0);
+    const bool exact = noisy.a > 0.5 && !invalid_radiance(noisy.rgb);
+    y[index] = exact ? noisy : vec4(from_network(TRANSFER, t, imageLoad(stats, 0).x), 0.0);
 }

@@ -3,7 +3,7 @@
 use super::device::{DeviceArgs, KernelArgs};
 use super::files::{Files, parse_exposure};
 use super::progress::Progress;
-use super::reconstruct::Reconstruction;
+use super::reconstruct::{Reconstruction, repaired_line};
 use super::report;
 use super::tile::TileArgs;
 use limpid::denoise::Inputs;
@@ -105,6 +105,9 @@ fn report(
         if let Some(caution) = network.caution() {
             report::print(&caution)?;
         }
+        if network.repaired() > 0 {
+            report::print(&repaired_line(network.repaired()))?;
+        }
         report::print(&format!("reconstructed in {:.3} s on {}", device_ms * 1e-3, gpu.info().name))?;
         report::print(&format!("wrote {}", outputs.join(", ")))?;
         return Ok(0);
@@ -115,6 +118,7 @@ fn report(
     map.insert("skipped".into(), json!(skipped));
     report::kernels(&mut map, network.kernels());
     map.insert("tiling".into(), json!(network.tiling()));
+    map.insert("repaired_pixels".into(), network.repaired().into());
     let settings = json!({
         "width": image.width, "height": image.height, "weights": network.describe(), "exposure_ev": args.exposure,
         "tile": args.tiles.tile, "overlap": args.tiles.overlap, "blend": args.tiles.blend, "max_memory_mib": args.tiles.max_memory,

@@ -2,7 +2,7 @@
 
 use super::files::Files;
 use super::progress::{Progress, duration, line};
-use super::reconstruct::Reconstruction;
+use super::reconstruct::{Reconstruction, repaired_line};
 use super::render::Args;
 use super::report;
 use super::stop::{Signal, Stop};
@@ -62,6 +62,8 @@ pub struct Totals {
     pub samples: u64,
     /// Non-finite samples dropped.
     pub invalid: u64,
+    /// Pixels that the reconstruction repaired.
+    pub repaired: u64,
     /// Device time of the path tracer.
     pub render_device_ms: f64,
     /// The same by the clock, pipelines included.
@@ -266,6 +268,7 @@ impl<'a> Work<'a> {
             Some(timings) => self.totals.reconstruct_device_ms += timings.device_ms,
             None => self.totals.skipped.push("the reconstruction: no pixel is noisy".into()),
         }
+        self.totals.repaired += network.repaired();
         drop(progress);
         self.totals.reconstruct_wall_ms += start.elapsed().as_secs_f64() * 1e3;
         Ok(())
@@ -350,6 +353,9 @@ impl<'a> Work<'a> {
         }
         if totals.invalid > 0 {
             report::print(&format!("{} samples were not finite and were dropped", totals.invalid))?;
+        }
+        if totals.repaired > 0 {
+            report::print(&repaired_line(totals.repaired))?;
         }
         if !totals.outputs.is_empty() {
             report::print(&format!("wrote {} in {}", totals.outputs.join(", "), duration(wall_ms * 1e-3)))?;

@@ -24,6 +24,7 @@ pub struct Reconstruction {
     cut: Cut,
     kernels: Option<kernels::Choice>,
     choice: Option<Choice>,
+    repaired: u64,
     made: Option<(Choice, Made)>,
 }
 
@@ -41,7 +42,7 @@ impl Reconstruction {
         let weights = file.map_or_else(embedded_weights, weights_of)?;
         let inputs = Preparation::of_weights(&weights, &name)?.inputs;
         let sha256 = weights.sha256();
-        Ok(Self { name, weights, inputs, sha256, cut, kernels: None, choice: None, made: None })
+        Ok(Self { name, weights, inputs, sha256, cut, kernels: None, choice: None, repaired: 0, made: None })
     }
 
     /// What the network reads of a frame.
@@ -57,6 +58,11 @@ impl Reconstruction {
     /// Name, architecture and hash of the weights.
     pub fn describe(&self) -> Value {
         json!({ "file": self.name, "architecture": self.weights.architecture.name(), "sha256": self.sha256 })
+    }
+
+    /// Pixels of the last picture whose radiance or guides were no numbers, infinite, or negative radiance.
+    pub fn repaired(&self) -> u64 {
+        self.repaired
     }
 
     /// The kernels in use; none where no picture was reconstructed.
@@ -130,25 +136,33 @@ impl Reconstruction {
         image.move_rgb("", "noisy")?;
         image.attributes.insert("weights".into(), self.sha256.clone());
         let unlit = image.attributes.get("bounces").is_some_and(|bounces| bounces == "0");
-        let albedo = image.rgb("albedo")?;
-        let exact = |i: usize| unlit || is_exact(&albedo, i);
+        let (albedo, noisy) = (image.rgb("albedo")?, image.rgb("noisy")?);
+        let usable = |i: usize| noisy.iter().all(|plane| plane[i].is_finite() && plane[i] >= 0.0);
+        let exact = |i: usize| usable(i) && (unlit || is_exact(&albedo, i));
         if (0..image.pixel_count()).all(exact) {
-            let noisy = image.rgb("noisy")?.map(<[f32]>::to_vec);
+            let noisy = noisy.map(<[f32]>::to_vec);
             image.set_rgb("", noisy);
+            self.repaired = 0;
             return Ok(None);
         }
         let inputs = self.inputs;
         let choice = self.choose(gpu, (image.width, image.height), resident.is_some())?;
-        let (planes, timings) = match (self.make(gpu, choice, resident.is_some())?, resident) {
-            (Made::Whole(denoiser), Some((radiance, guides))) => denoiser.run(radiance, guides)?,
+        let (planes, timings, repaired) = match (self.make(gpu, choice, resident.is_some())?, resident) {
+            (Made::Whole(denoiser), Some((radiance, guides))) => {
+                let (planes, timings) = denoiser.run(radiance, guides)?;
+                (planes, timings, denoiser.repaired()?)
+            }
             (Made::Tiled(denoiser), _) => {
                 let planes = planes(image, inputs, &exact)?;
                 let planes: Vec<Plane> = planes.iter().map(|plane| &**plane as Plane).collect();
-                denoiser.run(&planes, progress)?
+                let (planes, timings) = denoiser.run(&planes, progress)?;
+                (planes, timings, denoiser.repaired()?)
             }
             (Made::Whole(_), None) => unreachable!("made for frames on the device"),
         };
         image.set_rgb("", planes);
+        image.attributes.insert("repairedPixels".into(), repaired.to_string());
+        self.repaired = repaired;
         Ok(Some(timings))
     }
 
@@ -199,4 +213,9 @@ fn planes<'a>(image: &'a Image, inputs: Inputs, exact: &'a dyn Fn(usize) -> bool
 /// Whether a pixel's radiance is exact: its first hit reflects nothing.
 fn is_exact(albedo: &Rgb, i: usize) -> bool {
     albedo.iter().all(|plane| plane[i] == 0.0)
+}
+
+/// For people: what was repaired.
+pub fn repaired_line(pixels: u64) -> String {
+    format!("{pixels} pixels were not finite or negative and were repaired")
 }

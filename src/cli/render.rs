@@ -274,6 +274,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
     map.insert("rays_per_second".into(), json!(totals.rays_per_second()));
     map.insert("samples".into(), json!(totals.samples));
     map.insert("invalid_samples".into(), json!(totals.invalid));
+    map.insert("repaired_pixels".into(), json!(work.network.as_ref().map(|_| totals.repaired)));
     map.insert("skipped".into(), json!(totals.skipped));
     map.insert("left_out".into(), json!(last.left_out));
     report::kernels(&mut map, work.network.as_ref().and_then(Reconstruction::kernels));

@@ -178,7 +178,15 @@ impl FrameStats {
         row(bin_rows.start)..row(bin_rows.end)
     }
 
-    /// Records (exposure, 1 / depth, 0, 0) of a frame into `out`, 16 bytes; a depth of 1 where the guides have none.
+    /// Pixels that a frame needs repaired, of what [`Self::record`] made of it.
+    #[must_use]
+    pub fn repaired(stats: [f32; 4]) -> u64 {
+        stats[2] as u64 + ((stats[3] as u64) << 16)
+    }
+
+    /// Records (exposure, 1 / depth, repaired pixels modulo 65,536, repaired pixels over 65,536) of a frame into `out`, 16
+    /// bytes; a depth of 1 where the guides have none. Repaired are pixels whose radiance is no number, infinite or
+    /// negative, or whose guides are not finite. The network reads infinite radiance as the largest and the rest as 0, or as a miss has it.
     pub fn record(&self, rec: &mut Recorder, radiance: &Slice, guides: &Guides, out: &Slice) -> Result<()> {
         self.record_strip(rec, radiance, guides, 0..self.bin_rows())?;
         self.record_join(rec, out)
@@ -202,20 +210,21 @@ impl FrameStats {
             begin: bin_rows.start * bins_x,
             count: (bin_rows.end - bin_rows.start) * bins_x,
         };
-        // Where there is no depth, the radiance stands in its place and is not read there.
-        let (depth, screen) = match guides {
-            Guides::NormalScreenDepth { screen } => (true, screen),
-            Guides::AlbedoNormal { .. } => (false, radiance),
+        // Where there is one guide, it stands in the place of the second and is not read there.
+        let (depth, first, second) = match guides {
+            Guides::NormalScreenDepth { screen } => (true, screen, screen),
+            Guides::AlbedoNormal { albedo, normal_world, .. } => (false, albedo, normal_world),
         };
         let spec = shaders::frame_bins::Spec { transfer: self.transfer.id(), depth };
         let kernel = self.gpu.kernel::<shaders::frame_bins::Shader>(&spec)?;
         let bins = self.bins[0].all();
-        let bind = shaders::frame_bins::Bind { radiance: radiance.clone(), screen: screen.clone(), bins };
+        let [radiance, first, second] = [radiance, first, second].map(Slice::clone);
+        let bind = shaders::frame_bins::Bind { radiance, first, second, bins };
         rec.dispatch(&kernel, &bind, &push, groups(u64::from(push.count)));
         Ok(())
     }
 
-    /// Records (exposure, 1 / depth, 0, 0) into `out`, 16 bytes.
+    /// Records the joined stats of all strips into `out`, 16 bytes; see [`Self::record`].
     pub fn record_join(&self, rec: &mut Recorder, out: &Slice) -> Result<()> {
         let (width, height) = self.size;
         let mut count = width.div_ceil(BIN) * height.div_ceil(BIN);

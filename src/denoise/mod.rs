@@ -114,6 +114,11 @@ impl Denoiser {
         rec.finish()
     }
 
+    /// Pixels of the last frame that held what no renderer should give and were repaired; see [`FrameStats::record`].
+    pub fn repaired(&self) -> Result<u64> {
+        self.network.repaired()
+    }
+
     /// Reconstructs a frame; the planes r, g, b and the times.
     pub fn run(&self, radiance: &Slice, guides: &Guides) -> Result<([Vec<f32>; 3], Timings)> {
         let timings = self.record(radiance, guides)?.run()?;

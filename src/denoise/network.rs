@@ -57,7 +57,7 @@ pub(super) struct Network {
     pub parameters: Parameters,
     pub plan: Plan,
     pub frame_stats: FrameStats,
-    /// Exposure and 1 / depth.
+    /// What [`FrameStats::record`] makes of the frame.
     pub stats: Slice,
     result: Buffer,
 }
@@ -145,6 +145,12 @@ impl Network {
             rec.dispatch(&kernel, &bind, &push, groups(count));
         }
         Ok(())
+    }
+
+    /// Pixels of the last frame that were repaired.
+    pub fn repaired(&self) -> Result<u64> {
+        let stats: Vec<[f32; 4]> = self.gpu.download(&self.stats)?;
+        Ok(FrameStats::repaired(stats[0]))
     }
 
     /// The result's first `count` pixels.

@@ -147,6 +147,11 @@ impl TiledDenoiser {
         Ok([stats[0], stats[1]])
     }
 
+    /// Pixels of the last frame that held what no renderer should give and were repaired; see [`super::FrameStats::record`].
+    pub fn repaired(&self) -> Result<u64> {
+        self.network.repaired()
+    }
+
     /// Reconstructs one tile of the measured frame: writes the pixels of its core, and no others, into the planes r, g, b of
     /// the frame.
     pub fn reconstruct(&mut self, frame: &[Plane], tile: &Tile, result: &mut [Vec<f32>; 3]) -> Result<Timings> {
