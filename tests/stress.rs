@@ -2,6 +2,8 @@
 
 mod render_support;
 
+use limpid::gpu::list_devices;
+use limpid::net::kernel::Family;
 use limpid::stress::{Case, Outcome, cases};
 use render_support::device;
 
@@ -23,18 +25,28 @@ fn is_not_run(number: &str, why: &str) {
     }
 }
 
-/// A test a case, and the list of their numbers.
+/// A test a case, and the list of their numbers. A case that is not run says why, and where that depends on the machine, unless
+/// what is there.
 macro_rules! tests {
-    ($($test:ident $number:literal $(not run: $why:expr)?;)+) => {
+    ($($test:ident $number:literal $(not run: $why:literal $(unless $there:expr)?)?;)+) => {
         $(#[test]
         fn $test() {
-            tests!(@ $number $($why)?);
+            tests!(@ $number $($why $($there)?)?);
         })+
 
         const TESTED: &[&str] = &[$($number),+];
     };
     (@ $number:literal) => { passes($number) };
-    (@ $number:literal $why:expr) => { is_not_run($number, $why) };
+    (@ $number:literal $why:literal) => { is_not_run($number, $why) };
+    (@ $number:literal $why:literal $there:expr) => { if $there { passes($number) } else { is_not_run($number, $why) } };
+}
+
+fn two_devices() -> bool {
+    list_devices().expect("devices").iter().filter(|info| info.unusable.is_empty()).count() > 1
+}
+
+fn has_coop() -> bool {
+    Family::all(device().info()).iter().any(|family| family.name() == "coop")
 }
 
 tests! {
@@ -73,8 +85,13 @@ tests! {
     t33_limit_of_loops "T33";
     t34_length_of_dispatches "T34";
     t35_same_bits_again "T35";
-    t36_another_device "T36" not run: "there is no second usable Vulkan device";
+    t36_another_device "T36" not run: "there is no second usable Vulkan device" unless two_devices();
     t37_no_memory "T37";
+    n01_constant_pictures "N1";
+    n02_bad_pixels "N2";
+    n03_bad_guides "N3";
+    n04_beyond_f16_in_fp32 "N4";
+    n05_beyond_f16_in_halves "N5" not run: "the device has no kernels that round to f16" unless has_coop();
 }
 
 /// None is forgotten, here or there, and each says what it claims.

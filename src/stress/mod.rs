@@ -8,6 +8,7 @@ mod accumulation;
 mod geometry;
 mod intersection;
 mod lights;
+mod network;
 mod outcome;
 mod platform;
 mod sampling;
@@ -56,6 +57,7 @@ pub fn cases() -> Vec<Case> {
         scenes::CASES,
         accumulation::CASES,
         platform::CASES,
+        network::CASES,
     ]
     .concat();
     cases.sort_by_key(|case| {
