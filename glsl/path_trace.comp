@@ -29,6 +29,7 @@ layout(constant_id = 16) const uint DISK_FIRST = 0;        // of the rectangles,
 layout(constant_id = 17) const uint DISK_COUNT = 0;        // .. are disks, so many
 layout(constant_id = 18) const bool HALVES = false;        // even and odd samples are independent, their difference is kept
 layout(constant_id = 19) const bool AOVS = true;           // first hits are kept
+layout(constant_id = 20) const uint ROULETTE = 0xffffffff; // from so many reflections on a path may be ended by chance
 
 const uint ESTIMATOR_UNIFORM = 0u;
 const uint ESTIMATOR_COSINE = 1u;
@@ -64,6 +65,7 @@ layout(push_constant) uniform Push {
 };
 
 const uint BLOCK_SIZE = 64u;
+const uint ROULETTE_DIMENSIONS = 2048u; // beyond those of the choice of lights
 const uint LIGHT_COUNT = SPHERE_LIGHT_COUNT + RECT_LIGHT_COUNT;
 const bool NEE = ESTIMATOR == ESTIMATOR_NEE && LIGHT_COUNT > 0u;
 // Does a ray after the last reflection's light sample still find light?
@@ -229,6 +231,11 @@ void main() {
                 throughput *= vertex.albedo;
                 at_vertex = depth < BOUNCES && vertex.albedo != vec3(0.0);
                 if (camera && at_vertex) inexact += 1u;
+                if (ROULETTE < BOUNCES && at_vertex && depth >= ROULETTE) {
+                    float survival = min(0.95, max(throughput.r, max(throughput.g, throughput.b)));
+                    at_vertex = number(sample_index, ROULETTE_DIMENSIONS + depth) < survival;
+                    throughput /= survival;
+                }
             }
         }
         if (!at_vertex) {

@@ -331,6 +331,7 @@ impl<'a> Work<'a> {
             && image.attributes.get("weights").map(String::as_str) == weights
             && image.has_rgb("variance") == (s.batch_size() > 0)
             && image.has_rgb("albedo") == s.aovs
+            && image.attributes.get("roulette") == (s.roulette < s.bounces).then(|| s.roulette.to_string()).as_ref()
     }
 
     /// For people: what was done and how fast.

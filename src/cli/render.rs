@@ -56,6 +56,10 @@ pub struct Args {
     /// Reflections that a path may make [default: the scene file's, else 8]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=i64::from(Settings::MAX_BOUNCES)))]
     pub bounces: Option<u32>,
+    /// Reflections after which a path may be ended by chance (Russian roulette); never where it is the bounce limit or more
+    /// [default: 5 where --bounces is above 8, else never]
+    #[arg(long, value_name = "N")]
+    pub roulette: Option<u32>,
     /// How light is found: by chance (uniform or cosine-weighted directions) or by sampling the lights at every hit
     #[arg(long, value_name = "uniform|cosine|nee", default_value_t = Estimator::Nee)]
     pub estimator: Estimator,
@@ -169,10 +173,12 @@ impl Args {
         let goal = Goal { relmse: self.until, time: self.time };
         // The samples that a file states are no limit where another goal is set.
         let spp = if goal == Goal::default() { spp.unwrap_or(defaults.spp) } else { MOST_SAMPLES };
+        let bounces = self.bounces.or(bounces).unwrap_or(defaults.bounces);
         let settings = Settings {
             spp: self.spp.unwrap_or(spp),
             seed: self.seed.wrapping_add(frame.unwrap_or(0)),
-            bounces: self.bounces.or(bounces).unwrap_or(defaults.bounces),
+            bounces,
+            roulette: self.roulette.unwrap_or_else(|| Settings::default_roulette(bounces)),
             estimator: self.estimator,
             sampler: self.sampler,
             aa: self.aa,
@@ -253,7 +259,7 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
     let settings = json!({
         "width": last.scene.camera.width, "height": last.scene.camera.height, "spp": s.spp, "seed": args.seed,
         "bounces": s.bounces, "estimator": s.estimator.to_string(), "sampler": s.sampler.to_string(), "aa": s.aa,
-        "variance": s.variance, "aovs": s.aovs, "until": args.until, "time_s": args.time.map(|time| time.as_secs_f64()), "denoise": args.denoise, "exposure_ev": args.exposure,
+        "variance": s.variance, "aovs": s.aovs, "roulette": (s.roulette < s.bounces).then_some(s.roulette), "until": args.until, "time_s": args.time.map(|time| time.as_secs_f64()), "denoise": args.denoise, "exposure_ev": args.exposure,
         "tile": args.tiles.tile, "overlap": args.tiles.overlap, "blend": args.tiles.blend, "max_memory_mib": args.tiles.max_memory,
         "weights": work.network.as_ref().map(Reconstruction::describe),
     });

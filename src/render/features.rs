@@ -54,6 +54,8 @@ pub struct Features {
     pub halves: bool,
     /// As in [`Settings`].
     pub aovs: bool,
+    /// As in [`Settings`]; `u32::MAX` where no path is ended so.
+    pub roulette: u32,
 }
 
 /// What pipelines leave out where a scene does not need it, and what shows a gain by itself. Whether it is left out changes no bit
@@ -146,6 +148,7 @@ impl Features {
             variance: settings.batch_size() > 0,
             halves: settings.halves,
             aovs: settings.aovs,
+            roulette: if settings.roulette < settings.bounces { settings.roulette } else { u32::MAX },
         }
     }
 
@@ -178,6 +181,7 @@ impl Features {
             variance: self.variance,
             halves: self.halves,
             aovs: self.aovs,
+            roulette: self.roulette,
         }
     }
 
@@ -214,6 +218,7 @@ impl Features {
         skip(!self.aa, "a camera ray for every sample (one first hit a pixel)");
         skip(!self.variance, "variance");
         skip(!self.aovs, "first-hit values");
+        skip(self.roulette == u32::MAX, "Russian roulette");
         skip(!self.halves, "the difference of two halves");
         if aligned > 0 {
             skip(true, &format!("general plane tests for {aligned} axis-aligned rectangles"));

@@ -37,7 +37,7 @@ fn turned(mut shapes: Vec<Shape>, turn: DQuat) -> Vec<Shape> {
     for shape in &mut shapes {
         match &mut shape.geometry {
             Geometry::Sphere { center, .. } => *center = turn * *center,
-            Geometry::Rectangle { center, half_u, half_v } => {
+            Geometry::Rectangle { center, half_u, half_v } | Geometry::Disk { center, half_u, half_v } => {
                 (*center, *half_u, *half_v) = (turn * *center, turn * *half_u, turn * *half_v);
             }
         }

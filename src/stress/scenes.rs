@@ -207,12 +207,13 @@ fn first_hit(scene: &Scene, o: DVec3, d: DVec3) -> Option<(f64, DVec3, usize, f6
                     (t, (o + t * d - center) / radius)
                 })
             }
-            Geometry::Rectangle { center, half_u, half_v } => {
+            Geometry::Rectangle { center, half_u, half_v } | Geometry::Disk { center, half_u, half_v } => {
                 let normal = half_u.cross(half_v).normalize();
                 let t = (center - o).dot(normal) / d.dot(normal);
                 let q = o + t * d - center;
-                let edge =
-                    (q.dot(half_u).abs() / half_u.length_squared()).max(q.dot(half_v).abs() / half_v.length_squared());
+                let (a, b) = (q.dot(half_u) / half_u.length_squared(), q.dot(half_v) / half_v.length_squared());
+                let round = matches!(shape.geometry, Geometry::Disk { .. });
+                let edge = if round { a.hypot(b) } else { a.abs().max(b.abs()) };
                 clearance = clearance.min((edge - 1.0).abs());
                 (t > 0.0 && edge < 1.0).then_some((t, normal))
             }

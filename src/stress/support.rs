@@ -107,7 +107,7 @@ pub fn placed(mut scene: Scene, scale: f64, shift: DVec3) -> Scene {
                 *center = *center * scale + shift;
                 *radius *= scale;
             }
-            Geometry::Rectangle { center, half_u, half_v } => {
+            Geometry::Rectangle { center, half_u, half_v } | Geometry::Disk { center, half_u, half_v } => {
                 *center = *center * scale + shift;
                 *half_u *= scale;
                 *half_v *= scale;
@@ -115,6 +115,12 @@ pub fn placed(mut scene: Scene, scale: f64, shift: DVec3) -> Scene {
         }
     }
     scene
+}
+
+/// A disk of one grey.
+#[must_use]
+pub fn disk(center: DVec3, half_u: DVec3, half_v: DVec3, albedo: f64, radiance: f64) -> Shape {
+    Shape { geometry: Geometry::Disk { center, half_u, half_v }, ..sphere([0.0; 3], 1.0, albedo, radiance) }
 }
 
 /// Mean and standard error of independent values.
