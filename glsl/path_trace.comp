@@ -29,6 +29,7 @@ layout(constant_id = 16) const uint DISK_FIRST = 0;        // of the rectangles,
 layout(constant_id = 17) const uint DISK_COUNT = 0;        // .. are disks, so many
 layout(constant_id = 18) const bool HALVES = false;        // even and odd samples are independent, their difference is kept
 layout(constant_id = 19) const bool AOVS = true;           // first hits are kept
+layout(constant_id = 21) const bool LENS = false;          // a thin lens instead of a pinhole; needs ANTIALIAS
 layout(constant_id = 20) const uint ROULETTE = 0xffffffff; // from so many reflections on a path may be ended by chance
 
 const uint ESTIMATOR_UNIFORM = 0u;
@@ -100,9 +101,17 @@ float number(uint i, uint vertex) { return random1(SAMPLER, key_of(i), place_of(
 // NaN, infinite or negative: one unsigned comparison on the bits, which no compiler folds away.
 bool invalid(vec3 x) { return max(floatBitsToUint(x.r), max(floatBitsToUint(x.g), floatBitsToUint(x.b))) >= 0x7f800000u; }
 
-vec3 camera_ray(vec2 film_position) {
+// Through a point of the film, in pixels; `o` is the eye and, with a lens, moves to the point of it that `u` chooses.
+vec3 camera_ray(vec2 film_position, vec2 u, inout vec3 o) {
     vec2 film = film_position * (2.0 / vec2(width, height)) - 1.0;
-    return normalize(g_forward + film.x * g_right - film.y * g_up);
+    vec3 view = g_forward + film.x * g_right - film.y * g_up; // one unit deep
+    if (LENS) {
+        vec2 s = g_lens.x * sample_disk(u);
+        vec3 shift = s.x * g_right_unit + s.y * g_up_unit;
+        o += shift;
+        view = g_lens.y * view - shift;
+    }
+    return normalize(view);
 }
 
 // A new direction at the vertex; `weight` is cos / (pi * pdf).
@@ -152,7 +161,7 @@ void main() {
         sum_screen = aov_screen[index];
     }
     if (!ANTIALIAS) {
-        d = camera_ray(vec2(pixel) + 0.5);
+        d = camera_ray(vec2(pixel) + 0.5, vec2(0.0), o);
         float t = 1e30;
         uint id = closest_hit(o, d, NONE, t);
         rays += 1u;
@@ -197,7 +206,7 @@ void main() {
         vec4 u = numbers(sample_index, at_vertex ? depth + 1u : 0u);
         if (ANTIALIAS && !at_vertex) {
             o = origin.xyz;
-            d = camera_ray(vec2(pixel) + u.xy);
+            d = camera_ray(vec2(pixel) + u.xy, u.zw, o);
             has_ray = true;
         } else {
             if (NEE) {

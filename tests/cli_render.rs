@@ -181,3 +181,14 @@ fn a_render_until_an_error_says_what_it_reached() {
     let report = cli.report(&["-o", "d.exr", "--size", "16x16", "--time", "50ms"]);
     assert_eq!([&report["frames"][0]["reached"], &report["settings"]["time_s"]], [&json!("time"), &json!(0.05)]);
 }
+
+#[test]
+fn a_lens_brings_a_camera_ray_a_sample() {
+    let cli = Cli::new();
+    let lens = "<sensor type=\"thinlens\"><float name=\"aperture_radius\" value=\"0.1\"/><float name=\"focus_distance\" value=\"3\"/>";
+    let xml = cli.ok(&["scene", "spheres"]).replace("<sensor type=\"perspective\">", lens);
+    std::fs::write(cli.path("s.xml"), xml).expect("written");
+    let report = cli.report(&["s.xml", "-o", "a.exr", "--size", "16x16", "--spp", "2"]);
+    assert_eq!(report["settings"]["aa"], true);
+    assert_eq!(cli.image("a.exr").attributes["aa"], "true");
+}

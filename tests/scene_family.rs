@@ -270,7 +270,7 @@ fn hash_sees_every_number() {
 
 #[test]
 fn camera_rays() {
-    let camera = Camera { to_world: DMat4::IDENTITY, fov_x_degrees: 90.0, width: 4, height: 2 };
+    let camera = Camera { to_world: DMat4::IDENTITY, fov_x_degrees: 90.0, width: 4, height: 2, lens: None };
     // Half extents are 1 and 1/2: the corners of the image plane at z = -1 are (-1, 1/2) and (1, -1/2).
     let corner = camera.ray(0.0, 0.0).direction;
     assert!(corner.distance(DVec3::new(-1.0, 0.5, -1.0).normalize()) < 1e-15);

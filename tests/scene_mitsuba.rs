@@ -39,7 +39,7 @@ fn canonical_frame_has_exact_numbers() {
     assert_eq!((loaded.spp, loaded.bounces), (Some(16), Some(8)));
     let scene = loaded.scene;
     let eye = DMat4::from_translation(DVec3::new(0.0, 0.0, 3.9));
-    assert_eq!(scene.camera, Camera { to_world: eye, fov_x_degrees: 39.3, width: 768, height: 768 });
+    assert_eq!(scene.camera, Camera { to_world: eye, fov_x_degrees: 39.3, width: 768, height: 768, lens: None });
     let (x, y, z) = (DVec3::X, DVec3::Y, DVec3::Z);
     // Centre, half edges and inward normal of each wall, written down by hand.
     let walls = [

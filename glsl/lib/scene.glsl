@@ -42,6 +42,7 @@ vec3 g_up;
 vec3 g_forward;
 vec3 g_right_unit;
 vec3 g_up_unit;
+vec2 g_lens; // radius of the aperture, depth of what is in focus
 float g_depth_scale; // from the scene's units here to those of the world
 
 uint rect_axis(uint i) { return PRELOAD ? (RECT_AXES >> (2u * i)) & 3u : uint(row(SPHERE_COUNT + i, NORMAL).w); }
@@ -60,6 +61,7 @@ void preload() {
     g_right_unit = normalize(g_right);
     g_up_unit = normalize(g_up);
     g_depth_scale = imageLoad(scene, 1).w;
+    g_lens = vec2(imageLoad(scene, 2).w, imageLoad(scene, 3).w);
     if (!PRELOAD) return;
     [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
         g_sphere[i] = row(i, GEOMETRY);

@@ -181,7 +181,8 @@ impl Args {
             roulette: self.roulette.unwrap_or_else(|| Settings::default_roulette(bounces)),
             estimator: self.estimator,
             sampler: self.sampler,
-            aa: self.aa,
+            // A lens is sampled: no two samples share a camera ray.
+            aa: self.aa || scene.camera.lens.is_some(),
             variance: self.variance,
             halves: self.until.is_some(),
             aovs: !self.no_aovs,

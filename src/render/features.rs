@@ -54,6 +54,8 @@ pub struct Features {
     pub halves: bool,
     /// As in [`Settings`].
     pub aovs: bool,
+    /// The camera has a lens.
+    pub lens: bool,
     /// As in [`Settings`]; `u32::MAX` where no path is ended so.
     pub roulette: u32,
 }
@@ -148,6 +150,7 @@ impl Features {
             variance: settings.batch_size() > 0,
             halves: settings.halves,
             aovs: settings.aovs,
+            lens: scene.camera.lens.is_some(),
             roulette: if settings.roulette < settings.bounces { settings.roulette } else { u32::MAX },
         }
     }
@@ -181,6 +184,7 @@ impl Features {
             variance: self.variance,
             halves: self.halves,
             aovs: self.aovs,
+            lens: self.lens,
             roulette: self.roulette,
         }
     }
@@ -218,6 +222,7 @@ impl Features {
         skip(!self.aa, "a camera ray for every sample (one first hit a pixel)");
         skip(!self.variance, "variance");
         skip(!self.aovs, "first-hit values");
+        skip(!self.lens, "the lens");
         skip(self.roulette == u32::MAX, "Russian roulette");
         skip(!self.halves, "the difference of two halves");
         if aligned > 0 {

@@ -126,8 +126,9 @@ fn pack_camera(scene: &Scene, window: Option<FilmWindow>, frame: &Frame, offset:
     let eye = (camera.to_world.w_axis.truncate() - frame.center) * frame.scale;
     rows.push(row(eye, offset));
     rows.push(row(right * scale_x, 1.0 / frame.scale));
-    rows.push(row(up * scale_y, 0.0));
-    rows.push(row(right * center_x + up * center_y - axes.z_axis, 0.0));
+    let (aperture, focus) = camera.lens.map_or((0.0, 0.0), |lens| (lens.aperture_radius, lens.focus_distance));
+    rows.push(row(up * scale_y, aperture * frame.scale));
+    rows.push(row(right * center_x + up * center_y - axes.z_axis, focus * frame.scale));
 }
 
 fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64, rows: &mut Vec<[f32; 4]>) {

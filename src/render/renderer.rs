@@ -97,7 +97,7 @@ impl Renderer {
 
     /// The same with pipelines for `features`: those of the scene, or more ([`Features::with`]).
     pub fn with_features(gpu: &Gpu, scene: &Scene, settings: &Settings, features: Features) -> Result<Self> {
-        settings.check()?;
+        settings.check(scene)?;
         settings.check_variance(scene)?;
         let rows = pack(scene, None)?;
         let before = gpu.pipeline_ms();

@@ -88,7 +88,10 @@ impl Settings {
     /// The largest bounce limit: a path must fit into the loop budget of one dispatch.
     pub const MAX_BOUNCES: u32 = 1024;
 
-    pub(super) fn check(&self) -> Result<()> {
+    pub(super) fn check(&self, scene: &Scene) -> Result<()> {
+        if scene.camera.lens.is_some() && !self.aa {
+            return Err(Error::input("the scene's camera has a lens: every sample needs its own camera ray (aa)"));
+        }
         if self.spp == 0 {
             return Err(Error::input("0 samples a pixel: ask for at least 1"));
         }

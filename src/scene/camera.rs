@@ -15,7 +15,7 @@ impl Camera {
         width: u32,
         height: u32,
     ) -> Result<Self> {
-        Ok(Self { to_world: look_at_matrix(origin, target, up)?, fov_x_degrees, width, height })
+        Ok(Self { to_world: look_at_matrix(origin, target, up)?, fov_x_degrees, width, height, lens: None })
     }
 
     /// The tangents of half the field of view, horizontal and vertical (pixels are square).

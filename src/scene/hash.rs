@@ -16,6 +16,10 @@ impl Scene {
         state.update(camera.height.to_le_bytes());
         numbers(&mut state, &[camera.fov_x_degrees]);
         numbers(&mut state, &camera.to_world.to_cols_array());
+        if let Some(lens) = camera.lens {
+            state.update(b"lens");
+            numbers(&mut state, &[lens.aperture_radius, lens.focus_distance]);
+        }
         state.update((self.shapes.len() as u64).to_le_bytes());
         for shape in &self.shapes {
             match shape.geometry {

@@ -14,7 +14,16 @@ pub use spec::{Loaded, Spec};
 use glam::{DMat4, DVec2, DVec3, Vec2Swizzles};
 use std::f64::consts::PI;
 
-/// A pinhole camera.
+/// What makes a camera blur what is not in focus.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    /// Radius of the aperture, world units, > 0.
+    pub aperture_radius: f64,
+    /// Depth along the view direction of the plane that is in focus, world units, > 0.
+    pub focus_distance: f64,
+}
+
+/// A pinhole camera, or one with a thin lens.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     /// Camera to world. In camera space x points right, y up, and the view direction is -z. Rigid (no scale).
@@ -25,6 +34,8 @@ pub struct Camera {
     pub width: u32,
     /// Image height in pixels.
     pub height: u32,
+    /// The lens; none for a pinhole.
+    pub lens: Option<Lens>,
 }
 
 /// The surface of one shape.

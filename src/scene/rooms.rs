@@ -126,7 +126,7 @@ fn camera(draws: &mut Draws, half: DVec3) -> Camera {
     let eye = DVec3::new(draws.between(-0.5, 0.5) * half.x, draws.between(-0.6, 0.6) * half.y, z);
     let target = DVec3::new(draws.between(-0.4, 0.4) * half.x, draws.between(-0.4, 0.4) * half.y, -half.z);
     let to_world = look_at_matrix(eye, target, DVec3::Y).expect("the target lies behind the eye's plane, far from up");
-    Camera { to_world, fov_x_degrees: fov, width: 768, height: 768 }
+    Camera { to_world, fov_x_degrees: fov, width: 768, height: 768, lens: None }
 }
 
 /// Floor, ceiling, back, left and right; the front is open. Normals point inward.

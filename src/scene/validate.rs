@@ -1,6 +1,6 @@
 //! What a scene must fulfil before anything is rendered.
 
-use super::{Camera, Checker, Geometry, Scene, Shape};
+use super::{Camera, Checker, Geometry, Lens, Scene, Shape};
 pub use crate::image::{MAX_PIXELS, MAX_SIDE, check_size};
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
@@ -37,6 +37,15 @@ impl Camera {
                 "camera: field of view {} degrees; it must lie between 0 and 180, both excluded",
                 self.fov_x_degrees
             )));
+        }
+        if let Some(Lens { aperture_radius, focus_distance }) = self.lens {
+            for (what, length) in [("aperture radius", aperture_radius), ("focus distance", focus_distance)] {
+                if !(MIN_LENGTH..=MAX_LENGTH).contains(&length) {
+                    return Err(Error::input(format!(
+                        "camera: {what} {length}; it must be positive, {MIN_LENGTH:e} to {MAX_LENGTH:e}"
+                    )));
+                }
+            }
         }
         let m = &self.to_world;
         check_point("camera: position", m.w_axis.truncate())?;

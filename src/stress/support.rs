@@ -85,7 +85,7 @@ pub fn look(from: DVec3, to: DVec3, fov: f64, width: u32, height: u32) -> Camera
     let right = up.cross(back).normalize();
     let to_world =
         DMat4::from_cols(right.extend(0.0), back.cross(right).extend(0.0), back.extend(0.0), from.extend(1.0));
-    Camera { to_world, fov_x_degrees: fov, width, height }
+    Camera { to_world, fov_x_degrees: fov, width, height, lens: None }
 }
 
 /// The canonical frame at another size.

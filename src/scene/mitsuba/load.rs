@@ -41,7 +41,8 @@ pub fn load(text: &str, file: &str, options: &Options) -> Result<Loaded> {
         }
     }
     let root = Element::root(&sources[0]);
-    let (camera, spp) = camera.ok_or_else(|| root.error("the scene has no <sensor>; add one of type perspective"))?;
+    let (camera, spp) =
+        camera.ok_or_else(|| root.error("the scene has no <sensor>; add one of type perspective or thinlens"))?;
     let scene = Scene { camera, shapes: list };
     scene.validate()?;
     drop(sources);

@@ -2,8 +2,8 @@
 //!
 //! Read are: `sphere` (`center`, `radius`, `to_world` with uniform scale), `rectangle`, `disk` and `cube` (`to_world`
 //! without shear), each with `flip_normals` where it makes sense; `diffuse` with `reflectance` as `rgb`, as one `float` or
-//! as a `checkerboard`, nested or by `ref`; `area` emitters with `radiance` as `rgb` or `float`; one `perspective` sensor
-//! (`fov`, `fov_axis`, `to_world`) with an `hdrfilm` (`width`, `height`, `box` filter) and a `sampler` (`sample_count`); the
+//! as a `checkerboard`, nested or by `ref`; `area` emitters with `radiance` as `rgb` or `float`; one `perspective` or
+//! `thinlens` sensor (`fov`, `fov_axis`, `to_world`; `aperture_radius`, `focus_distance`) with an `hdrfilm` (`width`, `height`, `box` filter) and a `sampler` (`sample_count`); the
 //! `path` integrator (`max_depth`); transforms of `lookat`, `rotate`, `translate`, `scale` and `matrix`; `default` and
 //! `$name`; `include` of scene files, below `<scene>`. `near_clip`, `far_clip`, `rr_depth`, the sampler's kind and seed and
 //! the film's file format make no difference and are passed over. Defaults are Mitsuba's (a missing material is grey 0.5).

@@ -5,9 +5,9 @@ use super::object::Object;
 use super::transform::swap_camera_convention;
 use super::xml::Element;
 use crate::Result;
-use crate::scene::Camera;
 use crate::scene::math::sin_cos_degrees;
 use crate::scene::validate::check_size;
+use crate::scene::{Camera, Lens};
 use glam::DMat4;
 
 /// Mitsuba's film size where the file gives none.
@@ -15,10 +15,11 @@ const DEFAULT_FILM: (u32, u32) = (768, 576);
 
 /// The camera and the samples per pixel; none where it is passed over.
 pub fn sensor(element: Element, options: &Options) -> Result<Option<(Camera, Option<u32>)>> {
-    let Some(mut object) = Object::new(element, &["perspective"])? else { return Ok(None) };
+    let Some(mut object) = Object::new(element, &["perspective", "thinlens"])? else { return Ok(None) };
     let to_world = object.transform("to_world")?.unwrap_or(DMat4::IDENTITY);
     let fov = object.float("fov")?.ok_or_else(|| element.error("the sensor lacks <float name=\"fov\">"))?;
     let axis = object.string("fov_axis")?.unwrap_or("x".to_owned());
+    let lens = (object.kind() == "thinlens").then(|| lens(&mut object)).transpose()?;
     ["near_clip", "far_clip"].into_iter().for_each(|name| object.pass_over(name));
     let film = object.take_one_nested("film")?.map(film).transpose()?.unwrap_or(DEFAULT_FILM);
     let spp = object.take_one_nested("sampler")?.map(sampler).transpose()?.flatten();
@@ -32,9 +33,19 @@ pub fn sensor(element: Element, options: &Options) -> Result<Option<(Camera, Opt
     let fov_x_degrees = horizontal_fov(fov, &axis, f64::from(width) / f64::from(height)).ok_or_else(|| {
         element.error(format!("fov_axis \"{axis}\" is not supported; supported: x, y, diagonal, smaller, larger"))
     })?;
-    let camera = Camera { to_world: swap_camera_convention(to_world), fov_x_degrees, width, height };
+    let camera = Camera { to_world: swap_camera_convention(to_world), fov_x_degrees, width, height, lens };
     camera.validate().map_err(|error| element.error(error))?;
     Ok(Some((camera, spp)))
+}
+
+fn lens(object: &mut Object) -> Result<Lens> {
+    let element = object.element;
+    let required = |name: &str, length: Option<f64>| {
+        length.ok_or_else(|| element.error(format!("the sensor lacks <float name=\"{name}\">")))
+    };
+    let (radius, distance) = (object.float("aperture_radius")?, object.float("focus_distance")?);
+    let aperture_radius = required("aperture_radius", radius)?;
+    Ok(Lens { aperture_radius, focus_distance: required("focus_distance", distance)? })
 }
 
 /// The horizontal field of view in degrees from one along another axis; `aspect` is width over height.

@@ -22,7 +22,13 @@ pub fn write(scene: &Scene) -> String {
         line(&mut xml, &format!("  <default name=\"{name}\" value=\"{value}\"/>"));
     }
     xml += INTEGRATOR;
-    line(&mut xml, "  <sensor type=\"perspective\">");
+    let kind = if camera.lens.is_some() { "thinlens" } else { "perspective" };
+    line(&mut xml, &format!("  <sensor type=\"{kind}\">"));
+    if let Some(lens) = camera.lens {
+        for (name, length) in [("aperture_radius", lens.aperture_radius), ("focus_distance", lens.focus_distance)] {
+            line(&mut xml, &format!("    <float name=\"{name}\" value=\"{length:?}\"/>"));
+        }
+    }
     line(&mut xml, &format!("    <float name=\"fov\" value=\"{:?}\"/>", camera.fov_x_degrees));
     line(&mut xml, "    <string name=\"fov_axis\" value=\"x\"/>");
     line(&mut xml, &format!("    {}", to_world(swap_camera_convention(camera.to_world))));
