@@ -136,6 +136,24 @@ fn halves_change_no_independent_sample() {
     assert_eq!(estimates[0], estimates[1]);
 }
 
+/// By a clock of its own: samples take 10 ms, from the 50th on 40 ms.
+#[test]
+fn a_render_that_gets_slower_ends_in_time() {
+    let gpu = device();
+    let mut renderer = Renderer::new(&gpu, &cornell(8), &Settings { spp: 100_000, ..Settings::default() }).expect("renderer");
+    let limit = Duration::from_millis(4000);
+    let mut pursuit = Pursuit::from(Goal { relmse: None, time: Some(limit) });
+    let clock = |done: u32| Duration::from_millis(u64::from(10 * done.min(50) + 40 * done.saturating_sub(50)));
+    while let Next::Samples(samples) = {
+        let elapsed = clock(renderer.samples_done());
+        pursuit.next(&mut renderer, elapsed).expect("next")
+    } {
+        while !renderer.advance_to(samples).expect("advance").done() {}
+    }
+    let elapsed = clock(renderer.samples_done());
+    assert!(elapsed <= limit && elapsed + Duration::from_millis(40) > limit, "{elapsed:?}");
+}
+
 /// By a clock of its own: a sample takes 30 ms.
 #[test]
 fn a_render_for_a_time_ends_with_whole_samples_within_it() {

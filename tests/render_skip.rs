@@ -2,6 +2,7 @@
 
 mod render_support;
 
+use glam::DVec3;
 use limpid::gpu::Gpu;
 use limpid::image::Image;
 use limpid::render::{Estimator, Features, Renderer, Sampler, Settings, Skip};
@@ -31,9 +32,11 @@ fn assert_same_radiance(gpu: &Gpu, a: &Image, b: &Image, what: &str) {
     }
 }
 
-/// The canonical frame and rooms with checkers, several lights and many spheres.
+/// The canonical frame, the same with a screen before its light, and rooms with checkers, several lights and many spheres.
 fn scenes() -> Vec<(String, Scene)> {
-    let mut scenes = vec![("spheres".to_owned(), cornell(48))];
+    let mut screen = cornell(48);
+    screen.shapes.push(rectangle(DVec3::new(0.1, 0.2, 0.1), DVec3::Z * 0.4, DVec3::X * 0.4, 0.5, 0.0));
+    let mut scenes = vec![("spheres".to_owned(), cornell(48)), ("screen".to_owned(), screen)];
     for n in [1, 2, 3, 4, 5, 6] {
         let mut scene = rooms::rooms(n);
         (scene.camera.width, scene.camera.height) = (48, 40);
