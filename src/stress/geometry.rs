@@ -13,7 +13,7 @@ pub(super) const CASES: &[Case] = &[
     Case {
         number: "T21",
         name: "self hits and leaks",
-        claim: "of a million rays that leave a sphere or a rectangle into the open none hits it again, and of a million in a closed room, straight or tilted, none escapes",
+        claim: "of a million rays that leave a sphere or a rectangle into the open none hits it again, and of a million in a closed room, straight, tilted or round, none escapes",
         run: self_hits_and_leaks,
     },
     Case {
@@ -73,9 +73,14 @@ fn self_hits_and_leaks(gpu: &Gpu) -> Result<Outcome> {
             // A ray that leaves into the open is the last of its path. One ray a pixel and dispatch is the camera's.
             checks.count("rays that hit their own surface again", stats.rays, (16 << 16) + (1 << 16), &at);
         }
-        for (name, turn) in [("straight room", DQuat::IDENTITY), ("tilted room", tilt())] {
-            let scene = furnace(1.0, 0.5, 1024);
-            let shapes = turned(scene.shapes, turn);
+        let room = || furnace(1.0, 0.5, 1024).shapes;
+        let hollow = vec![cavity(1.0, 0.5, 1.0), sphere([-0.3, 0.2, -0.4], 0.3, 0.5, 1.0)];
+        for (name, turn, shapes) in [
+            ("straight room", DQuat::IDENTITY, room()),
+            ("tilted room", tilt(), room()),
+            ("hollow sphere", DQuat::IDENTITY, hollow),
+        ] {
+            let shapes = turned(shapes, turn);
             let camera = look(turn * DVec3::new(0.1, 0.0, 0.9), turn * DVec3::NEG_Z, 90.0, 1024, 1024);
             let scene = placed(Scene { camera, shapes }, scale, DVec3::ZERO);
             // One reflection: a ray that meets no emitter has escaped.

@@ -29,7 +29,7 @@ pub(super) const CASES: &[Case] = &[
     Case {
         number: "N3",
         name: "bad guides",
-        claim: "normals, depths and albedos that are NaN, infinite or huge leave the reconstruction finite, and are counted",
+        claim: "normals, depths and albedos that are NaN, infinite or huge leave the reconstruction finite and are counted, and NaN is as good as no guide",
         run: bad_guides,
     },
     Case {
@@ -195,9 +195,15 @@ fn bad_guides(gpu: &Gpu) -> Result<Outcome> {
         for plane in 1..good.planes.len() {
             for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, f32::MAX, -1e30, 1e-41] {
                 let bad = if value.is_finite() { 0 } else { PIXELS };
+                let at = format!("{name}, plane {plane} all {value}");
                 let mut all = good.clone();
                 all.planes[plane].fill([value; 4]);
-                network.check(&mut checks, &all, bad, &format!("{name}, plane {plane} all {value}"))?;
+                let result = network.check(&mut checks, &all, bad, &at)?;
+                if value.is_nan() {
+                    all.planes[plane].fill([0.0; 4]);
+                    let none = network.run(&all)?;
+                    checks.none("values unlike those of a picture without the guide", different(&result, &none), &at);
+                }
                 let mut some = good.clone();
                 (0..24).for_each(|i| some.planes[plane][5 + 101 * i][i % 3] = value);
                 let bad = if value.is_finite() { 0 } else { 24 };
