@@ -1,7 +1,7 @@
 //! Rays that leave surfaces, wherever and however large the scene is.
 
 use super::support::*;
-use super::transport::{furnace, furnace_exact, wrong_paths};
+use super::transport::{furnace, furnace_exact, is_right, wrong_paths};
 use super::{Case, Checks, Outcome, intersection};
 use crate::Result;
 use crate::gpu::Gpu;
@@ -134,7 +134,7 @@ pub(super) fn axis_parallel(gpu: &Gpu) -> Result<Outcome> {
             let image = render(gpu, &scene, &settings(1, 8, COSINE))?;
             let expected = furnace_exact(1.0, 0.5, 8);
             let values = channel(&image, "R").into_iter().zip(&inside).filter(|(_, inside)| **inside);
-            let wrong = values.filter(|(v, _)| !((v / expected - 1.0).abs() <= 1e-5)).count();
+            let wrong = values.filter(|(v, _)| !is_right(*v, expected)).count();
             let at = format!("from {eye} to {}", -back);
             checks.none("wrong paths", wrong, &at);
             if back.dot(eye) >= 0.0 {

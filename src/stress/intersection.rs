@@ -152,7 +152,7 @@ fn check_distances(checks: &mut Checks, rays: &[Query], hits: &[[f32; 4]], dista
         let outside = distance > 1.0;
         let expected = if outside { exact.near } else { exact.far };
         let found = f64::from(if outside { hit[0] } else { hit[1] });
-        missed += usize::from(!(found > 0.0));
+        missed += usize::from(found.is_nan() || found <= 0.0);
         let error = (found - expected).abs() / r;
         (squares, largest, count) = (squares + error * error, largest.max(error), count + 1.0);
         let length = f64::from(ray.direction[3]);

@@ -142,7 +142,7 @@ fn constant_pictures(gpu: &Gpu) -> Result<Outcome> {
         for radiance in BAD {
             let at = format!("{name}, {radiance}");
             let result = network.check(&mut checks, &picture(radiance), PIXELS, &at)?;
-            if !(radiance > 0.0) {
+            if radiance != f32::INFINITY {
                 checks.none("values unlike those of a black picture", different(&result, &black), &at);
             }
         }

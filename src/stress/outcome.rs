@@ -103,7 +103,7 @@ impl fmt::Display for Measure {
 /// A number as people read it.
 fn short(value: f64) -> String {
     match value.abs() {
-        v if v == 0.0 || (v >= 1e-3 && v < 1e7) => {
+        v if v == 0.0 || (1e-3..1e7).contains(&v) => {
             let text = format!("{value:.4}");
             text.trim_end_matches('0').trim_end_matches('.').to_owned()
         }

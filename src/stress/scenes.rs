@@ -46,7 +46,7 @@ fn degenerate(gpu: &Gpu) -> Result<Outcome> {
 }
 
 fn negative(plane: &[f32]) -> usize {
-    plane.iter().filter(|v| !(**v >= 0.0)).count()
+    plane.iter().filter(|v| v.is_nan() || **v < 0.0).count()
 }
 
 fn strange_scenes(gpu: &Gpu, checks: &mut Checks) -> Result<()> {

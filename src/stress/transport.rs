@@ -70,8 +70,13 @@ pub(super) fn furnace(radiance: f64, albedo: f64, size: u32) -> Scene {
 
 /// Every path of the cosine estimator returns the same sum, so a single wrong path shows in its pixel.
 /// 1e-5: eight f32 additions and multiplications, 16 roundings of 6e-8.
+pub(super) fn is_right(value: f64, expected: f64) -> bool {
+    (value / expected - 1.0).abs() <= 1e-5
+}
+
+/// Pixels, of a path each, that are not right.
 pub(super) fn wrong_paths(image: &Image, expected: f64) -> usize {
-    channel(image, "R").into_iter().filter(|v| !((v / expected - 1.0).abs() <= 1e-5)).count()
+    channel(image, "R").into_iter().filter(|&v| !is_right(v, expected)).count()
 }
 
 fn furnace_case(gpu: &Gpu) -> Result<Outcome> {
