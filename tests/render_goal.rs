@@ -84,7 +84,7 @@ fn the_estimate_is_that_of_its_definition() {
     let up_to: Vec<_> = (0..=4).map(|n| if n == 0 { [(); 3].map(|()| vec![0.0; 1600]) } else { sums(n) }).collect();
     let mut expected = 0.0;
     for i in (0..1600usize).filter(|&i| !exact[i]) {
-        for c in 0..3 {
+        for c in [0, 1, 2] {
             let sample = |n: usize| up_to[n + 1][c][i] - up_to[n][c][i];
             let error = (sample(0) - sample(1) + sample(2) - sample(3)) / 4.0;
             let (x, y) = (i % 40, i / 40);
@@ -140,7 +140,8 @@ fn halves_change_no_independent_sample() {
 #[test]
 fn a_render_that_gets_slower_ends_in_time() {
     let gpu = device();
-    let mut renderer = Renderer::new(&gpu, &cornell(8), &Settings { spp: 100_000, ..Settings::default() }).expect("renderer");
+    let mut renderer =
+        Renderer::new(&gpu, &cornell(8), &Settings { spp: 100_000, ..Settings::default() }).expect("renderer");
     let limit = Duration::from_millis(4000);
     let mut pursuit = Pursuit::from(Goal { relmse: None, time: Some(limit) });
     let clock = |done: u32| Duration::from_millis(u64::from(10 * done.min(50) + 40 * done.saturating_sub(50)));

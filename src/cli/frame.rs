@@ -208,7 +208,9 @@ impl<'a> Work<'a> {
                 Some(share) => progress.update(share, pixels * f64::from(samples) * fraction / share, "samples"),
                 None => progress.update(fraction, pixels * f64::from(samples), "samples"),
             };
-            if self.stop.requested().is_some() || !self.trace_to(renderer, samples, files, &mut save, show)? {
+            // Whatever comes, some of it is done.
+            let stopped = renderer.samples_done() > 0 && self.stop.requested().is_some();
+            if stopped || !self.trace_to(renderer, samples, files, &mut save, show)? {
                 return Ok(Traced { reached: None, relmse: pursuit.relmse });
             }
         }
