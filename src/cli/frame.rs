@@ -195,6 +195,7 @@ impl<'a> Work<'a> {
         let mut save = Save { last: Instant::now(), cost: Duration::ZERO };
         let (width, height) = renderer.size();
         let pixels = f64::from(width) * f64::from(height);
+        let mut begun = false;
         loop {
             let samples = match pursuit.next(renderer, start.elapsed())? {
                 Next::Done(reached) => return Ok(Traced { reached: Some(reached), relmse: pursuit.relmse }),
@@ -208,11 +209,13 @@ impl<'a> Work<'a> {
                 Some(share) => progress.update(share, pixels * f64::from(samples) * fraction / share, "samples"),
                 None => progress.update(fraction, pixels * f64::from(samples), "samples"),
             };
-            // Whatever comes, some of it is done.
-            let stopped = renderer.samples_done() > 0 && self.stop.requested().is_some();
-            if stopped || !self.trace_to(renderer, samples, files, &mut save, show)? {
+            // Whatever comes, a run does some of it.
+            if (begun && self.stop.requested().is_some())
+                || !self.trace_to(renderer, samples, files, &mut save, show)?
+            {
                 return Ok(Traced { reached: None, relmse: pursuit.relmse });
             }
+            begun = true;
         }
     }
 
