@@ -18,7 +18,7 @@ pub struct Features {
     pub sphere_count: u32,
     /// Rectangles and disks.
     pub rect_count: u32,
-    /// Of these, the first disk; see [`super::pack::order`].
+    /// Of these, the first disk, in the order of the buffers.
     pub disk_first: u32,
     /// Disks.
     pub disk_count: u32,
