@@ -136,6 +136,9 @@ fn shapes_and_materials() {
     );
     assert_eq!(moved.geometry, Geometry::Sphere { center: DVec3::new(0.0, 5.0, 0.0), radius: 1.0, inward: false });
     assert_eq!((moved.albedo, moved.radiance), (DVec3::splat(0.3), DVec3::splat(4.0)));
+    // Without a material an emitter reflects nothing in Mitsuba.
+    let lamp = r#"<shape type="rectangle"><emitter type="area"><float name="radiance" value="4"/></emitter></shape>"#;
+    assert_eq!(shape(lamp).albedo, DVec3::ZERO);
 
     assert_eq!(rectangle(r#"<shape type="rectangle"/>"#), (DVec3::ZERO, DVec3::X, DVec3::Y));
     let scaled = r#"<shape type="rectangle"><transform name="to_world"><scale x="2" y="3"/>

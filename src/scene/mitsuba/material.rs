@@ -41,8 +41,8 @@ pub fn materials(sources: &[Source]) -> Result<Materials> {
     Ok(materials)
 }
 
-/// The material of a shape: nested, by reference, or Mitsuba's default.
-pub fn material(object: &mut Object, materials: &Materials) -> Result<Material> {
+/// The material of a shape: nested, by reference, or Mitsuba's default, which is black for what emits.
+pub fn material(object: &mut Object, materials: &Materials, emits: bool) -> Result<Material> {
     let element = object.element;
     let mut used = Vec::new();
     for nested in object.take_nested("bsdf") {
@@ -58,7 +58,8 @@ pub fn material(object: &mut Object, materials: &Materials) -> Result<Material> 
     if used.len() > 1 {
         return Err(element.error(format!("{} has {} materials; it can have one", element.words(), used.len())));
     }
-    Ok(used.pop().unwrap_or_default())
+    let default = if emits { Material { albedo: DVec3::ZERO, checker: None } } else { Material::default() };
+    Ok(used.pop().unwrap_or(default))
 }
 
 fn bsdf(element: Element) -> Result<Material> {

@@ -6,7 +6,7 @@
 //! `thinlens` sensor (`fov`, `fov_axis`, `to_world`; `aperture_radius`, `focus_distance`) with an `hdrfilm` (`width`, `height`, `box` filter) and a `sampler` (`sample_count`); the
 //! `path` integrator (`max_depth`); transforms of `lookat`, `rotate`, `translate`, `scale` and `matrix`; `default` and
 //! `$name`; `include` of scene files, below `<scene>`. `near_clip`, `far_clip`, `rr_depth`, the sampler's kind and seed and
-//! the film's file format make no difference and are passed over. Defaults are Mitsuba's (a missing material is grey 0.5).
+//! the film's file format make no difference and are passed over. Defaults are Mitsuba's (a missing material is grey 0.5, of an emitter black).
 //! Anything else is an error that names file, line and element or, with [`Options::lenient`], left out and named in
 //! [`Loaded::left_out`]. Files that a scene names are looked for in the folder of the scene's main file.
 

@@ -19,8 +19,8 @@ struct Surface {
 pub fn shapes(element: Element, name: String, materials: &Materials) -> Result<Vec<Shape>> {
     let kinds = ["sphere", "rectangle", "disk", "cube"];
     let Some(mut object) = Object::new(element, &kinds)? else { return Ok(Vec::new()) };
-    let material = material(&mut object, materials)?;
     let radiance = object.take_one_nested("emitter")?.map(emitter).transpose()?.flatten();
+    let material = material(&mut object, materials, radiance.is_some())?;
     let surfaces = match object.kind() {
         "sphere" => sphere(&mut object, material.checker.is_some())?.into_iter().collect(),
         "cube" => cube(&mut object)?,
