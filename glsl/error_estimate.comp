@@ -16,13 +16,13 @@ layout(push_constant) uniform Push {
     uint first_sum;
 };
 
-// Around the pixel; exact pixels are another surface or none and do not count.
+// Around a pixel that is not exact; exact ones are another surface or none and do not count.
 vec3 neighbourhood(uint x, uint y) {
-    vec4 sum = vec4(radiance[y * width + x].rgb, 1.0);
+    vec4 sum = vec4(0.0);
     for (uint v = max(y, 1u) - 1u; v <= min(y + 1u, height - 1u); ++v) {
         for (uint u = max(x, 1u) - 1u; u <= min(x + 1u, width - 1u); ++u) {
             vec4 near = radiance[v * width + u];
-            if (near.w == 0.0 && (u != x || v != y)) sum += vec4(near.rgb, 1.0);
+            if (near.w == 0.0) sum += vec4(near.rgb, 1.0);
         }
     }
     return sum.rgb / sum.w;

@@ -17,6 +17,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from mitsuba_agreement import load_rgb
+
 SAMPLERS = ["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
 TECHNIQUES = "nee+sobol,nee+pcg"
 
@@ -33,15 +35,6 @@ def limpid_runs(args, directory):
         key = (f"limpid {run['estimator']}+{run['sampler']}", run["spp"])
         points.setdefault(key, []).append((run["noisy"]["relmse"], run["noisy"]["device_ms"] * 1e-3))
     return points
-
-
-def load_rgb(mi, path):
-    import numpy as np
-
-    bitmap = mi.Bitmap(str(path))
-    channels = {field.name: i for i, field in enumerate(bitmap.struct_())}
-    pixels = np.array(bitmap, dtype=np.float64)
-    return pixels[..., [channels[name] for name in "RGB"]]
 
 
 def mitsuba_runs(args, file, halves):
@@ -65,7 +58,7 @@ def mitsuba_runs(args, file, halves):
                 dr.sync_thread()
                 seconds = time.perf_counter() - begin
                 x = np.array(image, dtype=np.float64)[..., :3]
-                relmse = np.mean((x - a) * (x - b) / (np.maximum(a * b, 0.0) + 0.01))
+                relmse = np.mean((x - a) * (x - b) / (((a + b) / 2) ** 2 + 0.01))
                 runs.append((relmse, seconds))
             points[(f"Mitsuba {sampler}", spp)] = runs[1:]
     return points

@@ -110,6 +110,12 @@ fn mask_of(image: &Image, reference: &Image) -> Result<Option<Vec<bool>>> {
     }
 }
 
+/// How many values of two planes of one size differ in their bits.
+#[must_use]
+pub fn different_values(a: &[f32], b: &[f32]) -> usize {
+    a.iter().zip(b).filter(|(a, b)| a.to_bits() != b.to_bits()).count()
+}
+
 /// The pixels whose first hit is a surface that is no light: `Z > 0` and a positive sum of `albedo`. None where the
 /// image lacks these channels. A black surface that is no light counts as light.
 pub fn surface_mask(image: &Image) -> Result<Option<Vec<bool>>> {

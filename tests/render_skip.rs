@@ -5,6 +5,7 @@ mod render_support;
 use glam::DVec3;
 use limpid::gpu::Gpu;
 use limpid::image::Image;
+use limpid::metrics::different_values;
 use limpid::render::{Estimator, Features, Renderer, Sampler, Settings, Skip};
 use limpid::scene::{Scene, rooms};
 use render_support::*;
@@ -22,7 +23,7 @@ fn assert_same_radiance(gpu: &Gpu, a: &Image, b: &Image, what: &str) {
     for name in COLOURS {
         let (a, b) = (&a.channels[name], &b.channels[name]);
         if gpu.info().name.contains("llvmpipe") {
-            let different = a.iter().zip(b).filter(|(x, y)| x.to_bits() != y.to_bits()).count();
+            let different = different_values(a, b);
             assert_eq!(different, 0, "{what}: {different} of {} values of {name} differ", a.len());
         } else {
             let mean = |plane: &[f32]| plane.iter().map(|&v| f64::from(v)).sum::<f64>() / plane.len() as f64;

@@ -23,7 +23,7 @@ fn rectangle_light_on_a_patch() {
             let light = rectangle(turn * DVec3::Y, turn * DVec3::X * a, turn * DVec3::Z * a, 0.0, 3.0);
             let camera = look(turn * DVec3::new(2e-4, 1e-3, 1e-4), DVec3::ZERO, 10.0, 24, 24);
             let scene = Scene { camera, shapes: vec![patch, light] };
-            for choice in TECHNIQUES {
+            for choice in techniques() {
                 let image = render(&gpu, &scene, &settings(256, 1, choice));
                 let values = surface(&image, "R");
                 assert_eq!(values.len(), 24 * 24);

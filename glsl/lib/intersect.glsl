@@ -51,21 +51,24 @@ float hit_aligned(vec3 o, vec3 d, vec3 reciprocal, uint axis, vec3 center, vec3 
     return inside ? t : -1.0;
 }
 
-// Any rectangle: dual edge vectors u, v (u . half_u = 1) with the enlarged limits in w.
-float hit_rectangle(vec3 o, vec3 d, vec3 center, vec3 normal, vec4 u, vec4 v) {
+// Any plane: the distance, and where the ray meets it along the dual edge vectors u, v (u . half_u = 1).
+vec3 hit_plane(vec3 o, vec3 d, vec3 center, vec3 normal, vec3 u, vec3 v) {
     vec3 f = o - center;
     float t = -dot(f, normal) / dot(d, normal);
     vec3 q = f + t * d;
-    return abs(dot(q, u.xyz)) <= u.w && abs(dot(q, v.xyz)) <= v.w ? t : -1.0;
+    return vec3(t, dot(q, u), dot(q, v));
+}
+
+// Any rectangle, with the enlarged limits in w.
+float hit_rectangle(vec3 o, vec3 d, vec3 center, vec3 normal, vec4 u, vec4 v) {
+    vec3 hit = hit_plane(o, d, center, normal, u.xyz, v.xyz);
+    return abs(hit.y) <= u.w && abs(hit.z) <= v.w ? hit.x : -1.0;
 }
 
 // The same of the ellipse in the middle of the rectangle.
 float hit_disk(vec3 o, vec3 d, vec3 center, vec3 normal, vec3 u, vec3 v) {
-    vec3 f = o - center;
-    float t = -dot(f, normal) / dot(d, normal);
-    vec3 q = f + t * d;
-    float a = dot(q, u), b = dot(q, v);
-    return a * a + b * b <= 1.0 ? t : -1.0;
+    vec3 hit = hit_plane(o, d, center, normal, u, v);
+    return hit.y * hit.y + hit.z * hit.z <= 1.0 ? hit.x : -1.0;
 }
 
 #endif

@@ -4,6 +4,7 @@ use super::Times;
 use crate::Result;
 use crate::gpu::Gpu;
 use crate::image::Image;
+use crate::metrics::different_values;
 use crate::render::{Features, Renderer, Settings, Skip};
 use crate::scene::Scene;
 use serde::Serialize;
@@ -98,7 +99,5 @@ pub fn run(gpu: &Gpu, scene: &Scene, settings: &Settings, runs: u32) -> Result<R
 }
 
 fn same_radiance(a: &Image, b: &Image) -> bool {
-    ["R", "G", "B"]
-        .iter()
-        .all(|name| a.channels[*name].iter().zip(&b.channels[*name]).all(|(x, y)| x.to_bits() == y.to_bits()))
+    ["R", "G", "B"].iter().all(|name| different_values(&a.channels[*name], &b.channels[*name]) == 0)
 }

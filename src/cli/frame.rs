@@ -336,7 +336,7 @@ impl<'a> Work<'a> {
             && image.attributes.get("weights").map(String::as_str) == weights
             && image.has_rgb("variance") == (s.batch_size() > 0)
             && image.has_rgb("albedo") == s.aovs
-            && image.attributes.get("roulette") == (s.roulette < s.bounces).then(|| s.roulette.to_string()).as_ref()
+            && image.attributes.get("roulette") == s.roulette_from().map(|from| from.to_string()).as_ref()
     }
 
     /// For people: what was done and how fast.

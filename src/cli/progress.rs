@@ -76,6 +76,11 @@ pub fn line(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
+/// Names what of a scene file was left out, on standard error.
+pub fn left_out(list: &[String]) {
+    list.iter().for_each(|what| line(&format!("left out: {what}")));
+}
+
 /// A number with three digits and the prefix of its unit.
 fn scaled(value: f64) -> String {
     let (value, prefix) = match value {

@@ -168,7 +168,7 @@ impl Args {
             Some(t) => spec.load_frame(t, &options)?,
             None => spec.load(&options)?,
         };
-        left_out.iter().for_each(|what| super::progress::line(&format!("left out: {what}")));
+        super::progress::left_out(&left_out);
         let defaults = Settings::default();
         let goal = Goal { relmse: self.until, time: self.time };
         // The samples that a file states are no limit where another goal is set.
@@ -260,7 +260,8 @@ fn report(args: &Args, work: &Work, last: &Frame, signal: Option<Signal>, start:
     let settings = json!({
         "width": last.scene.camera.width, "height": last.scene.camera.height, "spp": s.spp, "seed": args.seed,
         "bounces": s.bounces, "estimator": s.estimator.to_string(), "sampler": s.sampler.to_string(), "aa": s.aa,
-        "variance": s.variance, "aovs": s.aovs, "roulette": (s.roulette < s.bounces).then_some(s.roulette), "until": args.until, "time_s": args.time.map(|time| time.as_secs_f64()), "denoise": args.denoise, "exposure_ev": args.exposure,
+        "variance": s.variance, "aovs": s.aovs, "roulette": s.roulette_from(), "until": args.until,
+        "time_s": args.time.map(|time| time.as_secs_f64()), "denoise": args.denoise, "exposure_ev": args.exposure,
         "tile": args.tiles.tile, "overlap": args.tiles.overlap, "blend": args.tiles.blend, "max_memory_mib": args.tiles.max_memory,
         "weights": work.network.as_ref().map(Reconstruction::describe),
     });

@@ -36,7 +36,7 @@ pub fn run(args: &Args) -> Result<u8> {
         Some(t) => spec.load_frame(t, &options)?,
         None => spec.load(&options)?,
     };
-    loaded.left_out.iter().for_each(|what| super::progress::line(&format!("left out: {what}")));
+    super::progress::left_out(&loaded.left_out);
     let xml = mitsuba::write(&loaded.scene);
     match &args.output {
         Some(path) => file::write_atomically(path, |out| {

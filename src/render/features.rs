@@ -151,7 +151,7 @@ impl Features {
             halves: settings.halves,
             aovs: settings.aovs,
             lens: scene.camera.lens.is_some(),
-            roulette: if settings.roulette < settings.bounces { settings.roulette } else { u32::MAX },
+            roulette: settings.roulette_from().unwrap_or(u32::MAX),
         }
     }
 

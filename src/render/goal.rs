@@ -6,6 +6,8 @@ use std::time::Duration;
 
 /// Samples before the first estimate: two a half.
 const FIRST_SAMPLES: u32 = 4;
+/// Samples that tell how long one takes.
+const FIRST_TIMED_SAMPLES: u32 = 2;
 /// Samples between two looks at the clock at most.
 const MOST_SAMPLES_AT_A_TIME: u32 = 64;
 
@@ -106,7 +108,7 @@ impl Pursuit {
     fn samples_within(&self, time: Duration, done: u32, elapsed: Duration) -> u32 {
         let (before, then) = self.last;
         if done <= before {
-            return FIRST_SAMPLES.min(2);
+            return FIRST_TIMED_SAMPLES;
         }
         let each = (elapsed.saturating_sub(then)).as_secs_f64() / f64::from(done - before);
         let fit = time.saturating_sub(elapsed).as_secs_f64() / each.max(1e-9);

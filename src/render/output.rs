@@ -78,8 +78,8 @@ impl Renderer {
         attribute("spp", self.samples_done().to_string());
         attribute("seed", settings.seed.to_string());
         attribute("bounces", settings.bounces.to_string());
-        if settings.roulette < settings.bounces {
-            attribute("roulette", settings.roulette.to_string());
+        if let Some(from) = settings.roulette_from() {
+            attribute("roulette", from.to_string());
         }
         attribute("estimator", settings.estimator.to_string());
         attribute("sampler", settings.sampler.to_string());

@@ -98,7 +98,6 @@ impl Renderer {
     /// The same with pipelines for `features`: those of the scene, or more ([`Features::with`]).
     pub fn with_features(gpu: &Gpu, scene: &Scene, settings: &Settings, features: Features) -> Result<Self> {
         settings.check(scene)?;
-        settings.check_variance(scene)?;
         let rows = pack(scene, None)?;
         let before = gpu.pipeline_ms();
         let trace = gpu.kernel::<shaders::path_trace::Shader>(&features.path_trace_spec())?;
@@ -143,7 +142,7 @@ impl Renderer {
 
     /// The same, showing a part of a larger picture.
     pub fn set_scene_window(&mut self, scene: &Scene, window: Option<FilmWindow>) -> Result<()> {
-        self.settings.check_variance(scene)?;
+        self.settings.check(scene)?;
         let rows = pack(scene, window)?;
         let features = Features::new(scene, &self.settings);
         if features != self.features

@@ -85,6 +85,11 @@ impl Settings {
         if bounces > 8 { 5 } else { u32::MAX }
     }
 
+    /// The reflections from which on paths may be ended by chance; none where that is no sooner than the bounce limit.
+    pub fn roulette_from(&self) -> Option<u32> {
+        Some(self.roulette).filter(|&from| from < self.bounces)
+    }
+
     /// The largest bounce limit: a path must fit into the loop budget of one dispatch.
     pub const MAX_BOUNCES: u32 = 1024;
 
@@ -98,11 +103,11 @@ impl Settings {
         if self.bounces > Self::MAX_BOUNCES {
             return Err(Error::input(format!("{} bounces: at most {}", self.bounces, Self::MAX_BOUNCES)));
         }
-        Ok(())
+        self.check_variance(scene)
     }
 
     /// Refuses variance where squares of radiance leave the range of f32: it would come out infinite, or 0 where there is noise.
-    pub(super) fn check_variance(&self, scene: &Scene) -> Result<()> {
+    fn check_variance(&self, scene: &Scene) -> Result<()> {
         let largest = scene.shapes.iter().map(|shape| shape.radiance.max_element()).fold(0.0, f64::max);
         if self.batch_size() == 0 || largest == 0.0 || (1e-15..=1e15).contains(&largest) {
             return Ok(());

@@ -71,7 +71,7 @@ fn sphere_light(gpu: &Gpu) -> Result<Outcome> {
         // 5e-4: rays start 2e-5 of the scene off the surface, and the patch is not a point; at s = 0.99 the light is
         // 0.01 away, so 1.2e-4 of displacement moves the factor by about a per cent of its slope.
         let displaced = if s > 0.98 { 3e-3 } else { 5e-4 };
-        for choice in TECHNIQUES {
+        for choice in techniques() {
             if choice.0 != Estimator::Nee && s < 0.1 {
                 continue; // only light sampling finds so small a light
             }
@@ -111,7 +111,7 @@ fn light_sizes(gpu: &Gpu) -> Result<Outcome> {
         for s in [1e-7, 1e-6, 1e-5, 1e-4, 1e-2, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999] {
             // Rays start 2e-5 of the scene's half extent off, which is under 1 here. 1e-5: the patch is no point.
             let bias = displaced(degrees, s, 2e-5) + 1e-5;
-            for choice in TECHNIQUES.into_iter().filter(|(e, _)| *e == Estimator::Nee) {
+            for choice in techniques().filter(|(e, _)| *e == Estimator::Nee) {
                 check_patch(&mut checks, gpu, (degrees, s), &settings(256, 1, choice), (bias, 0.02))?;
             }
         }

@@ -6,6 +6,7 @@ use crate::denoise::{
     Denoiser, Guides, Inputs, Kernels, Plane, Preparation, TiledDenoiser, Tiling, embedded_names, weights_of,
 };
 use crate::gpu::Gpu;
+use crate::metrics::different_values;
 use crate::net::architecture::Op;
 use crate::net::kernel::Family;
 use crate::net::reference;
@@ -121,10 +122,6 @@ fn unreadable(values: &[f32]) -> usize {
     values.iter().filter(|v| !(v.is_finite() && **v >= 0.0)).count()
 }
 
-fn different(a: &[f32], b: &[f32]) -> usize {
-    a.iter().zip(b).filter(|(a, b)| a.to_bits() != b.to_bits()).count()
-}
-
 /// All weights that limpid was shipped with, by name.
 fn shipped() -> Result<Vec<(&'static str, Weights)>> {
     embedded_names().map(|name| Ok((name, weights_of(Path::new(name))?))).collect()
@@ -143,7 +140,7 @@ fn constant_pictures(gpu: &Gpu) -> Result<Outcome> {
             let at = format!("{name}, {radiance}");
             let result = network.check(&mut checks, &picture(radiance), PIXELS, &at)?;
             if radiance != f32::INFINITY {
-                checks.none("values unlike those of a black picture", different(&result, &black), &at);
+                checks.none("values unlike those of a black picture", different_values(&result, &black), &at);
             }
         }
     }
@@ -182,7 +179,7 @@ fn bad_pixels(gpu: &Gpu) -> Result<Outcome> {
         checks.none(UNREADABLE, unreadable(&cut), format_args!("{at}, tiled"));
         checks.count(MISCOUNTED, tiled.repaired()?, bad as u64, format_args!("{at}, tiled"));
         // Tiles that do not overlap are another picture: else nothing was cut.
-        checks.at_least("values that tiles change", different(&whole, &cut) as f64, 1.0, &at);
+        checks.at_least("values that tiles change", different_values(&whole, &cut) as f64, 1.0, &at);
     }
     Ok(checks.outcome())
 }
@@ -202,7 +199,11 @@ fn bad_guides(gpu: &Gpu) -> Result<Outcome> {
                 if value.is_nan() {
                     all.planes[plane].fill([0.0; 4]);
                     let none = network.run(&all)?;
-                    checks.none("values unlike those of a picture without the guide", different(&result, &none), &at);
+                    checks.none(
+                        "values unlike those of a picture without the guide",
+                        different_values(&result, &none),
+                        &at,
+                    );
                 }
                 let mut some = good.clone();
                 (0..24).for_each(|i| some.planes[plane][5 + 101 * i][i % 3] = value);
@@ -269,7 +270,11 @@ fn large_values(gpu: &Gpu) -> Result<Outcome> {
             let plain = run(&weights)?;
             for factor in FACTORS {
                 let at = format!("{name}, {}, times {factor:e}", family.name());
-                checks.none("values with other bits", different(&run(&amplified(&weights, factor))?, &plain), at);
+                checks.none(
+                    "values with other bits",
+                    different_values(&run(&amplified(&weights, factor))?, &plain),
+                    at,
+                );
             }
         }
     }

@@ -1,22 +1,19 @@
 //! Scenes, renders and statistics that the cases share.
 
 use super::Checks;
+use crate::bench::error::Technique;
 use crate::gpu::Gpu;
 use crate::image::Image;
+use crate::metrics::different_values;
 use crate::render::{Estimator, Renderer, Sampler, Settings};
 use crate::scene::{Camera, Geometry, Scene, Shape, family};
 use crate::{Error, Result};
 use glam::{DMat4, DVec3};
 
 /// Every way to render.
-pub const TECHNIQUES: [(Estimator, Sampler); 6] = [
-    (Estimator::Uniform, Sampler::Pcg),
-    (Estimator::Uniform, Sampler::Sobol),
-    (Estimator::Cosine, Sampler::Pcg),
-    (Estimator::Cosine, Sampler::Sobol),
-    (Estimator::Nee, Sampler::Pcg),
-    (Estimator::Nee, Sampler::Sobol),
-];
+pub fn techniques() -> impl Iterator<Item = (Estimator, Sampler)> {
+    Technique::all().map(|technique| (technique.estimator, technique.sampler))
+}
 
 /// How far a mean may be from what is expected, in standard errors: a false alarm once in 150,000 for a normal variable.
 pub const SIGMAS: f64 = 4.5;
@@ -152,8 +149,7 @@ pub fn different_bits(a: &Image, b: &Image) -> usize {
     if (a.width, a.height) != (b.width, b.height) || names(a) != names(b) {
         return a.channels.len().max(1) * a.pixel_count().max(b.pixel_count());
     }
-    let differ = |(x, y): &(&f32, &f32)| x.to_bits() != y.to_bits();
-    a.channels.iter().map(|(name, plane)| plane.iter().zip(&b.channels[name]).filter(differ).count()).sum()
+    a.channels.iter().map(|(name, plane)| different_values(plane, &b.channels[name])).sum()
 }
 
 /// The mean of `values` must be `expected` within [`SIGMAS`] standard errors and a relative `bias` that is known; an error of

@@ -5,6 +5,7 @@ use super::{Case, Checks, Outcome};
 use crate::denoise::{Axes, Denoiser, Guides, Kernels, Plane, TiledDenoiser, Tiling, embedded_weights};
 use crate::gpu::Gpu;
 use crate::image::Image;
+use crate::metrics::different_values;
 use crate::render::{Estimator, Renderer, Sampler, Settings};
 use crate::{Error, Result};
 use glam::DVec3;
@@ -117,8 +118,7 @@ fn colours(gpu: &Gpu) -> Result<Outcome> {
     }
     let image = render(gpu, &turned, &Settings::default())?;
     for (from, to) in [("G", "R"), ("B", "G"), ("R", "B")] {
-        let pairs = base.channels[from].iter().zip(&image.channels[to]);
-        let different = pairs.filter(|(a, b)| a.to_bits() != b.to_bits()).count();
+        let different = different_values(&base.channels[from], &image.channels[to]);
         checks.none(BITS, different, format_args!("{from} became {to}"));
     }
     Ok(checks.outcome())
@@ -223,7 +223,7 @@ fn tiles(gpu: &Gpu) -> Result<Outcome> {
     let count = tiling.count();
     let cut = TiledDenoiser::new(gpu, &weights, kernels, tiling)?.run(&frame, |_| ())?.0.concat();
     checks.at_least("tiles", f64::from(count), 2.0, "480x40");
-    let different = whole.iter().zip(&cut).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
+    let different = different_values(&whole, &cut);
     checks.none(BITS, different, format_args!("{count} tiles"));
     Ok(checks.outcome())
 }

@@ -97,7 +97,7 @@ fn furnace_case(gpu: &Gpu) -> Result<Outcome> {
         checks.none(WRONG, wrong_paths(&image, expected), format_args!("scale 1e{power}"));
     }
     furnace_in_a_sphere(gpu, &mut checks)?;
-    for choice in TECHNIQUES.into_iter().filter(|(e, _)| *e != Estimator::Cosine) {
+    for choice in techniques().filter(|(e, _)| *e != Estimator::Cosine) {
         for aa in [false, true] {
             let s = Settings { aa, ..settings(32, 8, choice) };
             let values = channel(&render(gpu, &furnace(1.0, 0.5, 96), &s)?, "G");
@@ -123,7 +123,7 @@ fn concentric_spheres(gpu: &Gpu) -> Result<Outcome> {
     let mut checks = Checks::default();
     let shapes = vec![cavity(1.0, 0.8, 0.0), sphere([0.0; 3], 0.3, 0.0, 5.0)];
     let scene = Scene { camera: look(DVec3::new(0.7, 0.0, 0.0), DVec3::new(0.6, 0.5, 1.0), 70.0, 96, 96), shapes };
-    for choice in TECHNIQUES {
+    for choice in techniques() {
         for (bounces, expected) in [(1, 0.36000), (2, 0.62208), (4, 0.95177), (8, 1.21911)] {
             let values = surface(&render(gpu, &scene, &settings(64, bounces, choice))?, "R");
             let at = format!("{choice:?}, {bounces} reflections");
@@ -152,7 +152,7 @@ fn cube_faces(gpu: &Gpu) -> Result<Outcome> {
         shapes[face].albedo = DVec3::splat(albedo);
         let scene =
             placed(Scene { camera: look(from * 2.0, from * 2.0 - from, fov, 32, 32), shapes }, 0.5, DVec3::ZERO);
-        for choice in TECHNIQUES {
+        for choice in techniques() {
             let at = format!("{choice:?}, face {face}");
             let spp = if choice.0 == Estimator::Nee { 64 } else { 256 };
             let mut renderer = Renderer::new(gpu, &scene, &Settings { aa: true, ..settings(spp, 1, choice) })?;
@@ -178,7 +178,7 @@ fn reflections_add_light(gpu: &Gpu) -> Result<Outcome> {
     let mut checks = Checks::default();
     let mut dark = cornell(32);
     dark.shapes.iter_mut().for_each(|s| s.radiance = DVec3::ZERO);
-    for choice in TECHNIQUES {
+    for choice in techniques() {
         let image = render(gpu, &dark, &settings(4, 8, choice))?;
         let lit = image.channels["R"].iter().filter(|&&v| v != 0.0).count();
         checks.none("pixels lit without a light", lit, format_args!("{choice:?}"));

@@ -8,7 +8,7 @@ use limpid::image::Image;
 use limpid::render::Settings;
 use limpid::scene::Scene;
 pub use limpid::stress::support::{
-    SIGMAS, TECHNIQUES, cavity, cornell, different_bits, disk, look, mean_error, rectangle, settings, sphere, surface,
+    SIGMAS, cavity, cornell, different_bits, disk, look, mean_error, rectangle, settings, sphere, surface, techniques,
 };
 
 /// The device, one test at a time; a validation message fails the test that caused it.

@@ -11,7 +11,7 @@ use crate::denoise::{Axes, Crop, Frame, FrameStats, Guides, Inputs, Preparation,
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
 use crate::net::device::{DeviceTensor, groups};
 use crate::net::tensor::hash;
-use crate::render::{Estimator, FilmWindow, Outputs, Renderer, Sampler, Settings};
+use crate::render::{Estimator, FilmWindow, Renderer, Sampler, Settings};
 use crate::scene::{Scene, family, rooms};
 use crate::{Result, push_block, shaders};
 
@@ -67,15 +67,11 @@ pub struct Data {
     _pool: Buffer,
 }
 
-fn rendered(gpu: &Gpu, scene: &Scene, film: Option<FilmWindow>, settings: &Settings) -> Result<Renderer> {
+fn render(gpu: &Gpu, scene: &Scene, film: Option<FilmWindow>, settings: &Settings) -> Result<Renderer> {
     let mut renderer = Renderer::new(gpu, scene, settings)?;
     renderer.set_scene_window(scene, film)?;
     renderer.finish()?;
     Ok(renderer)
-}
-
-fn render(gpu: &Gpu, scene: &Scene, film: Option<FilmWindow>, settings: &Settings) -> Result<Outputs> {
-    rendered(gpu, scene, film, settings)?.outputs()
 }
 
 impl Data {
@@ -178,7 +174,7 @@ impl Data {
         let best = (Estimator::Nee, Sampler::Sobol);
 
         (scene.camera.width, scene.camera.height) = (OVERVIEW, OVERVIEW);
-        let outputs = render(&gpu, &scene, None, &settings(self.settings.spp, best, draw(4)))?;
+        let outputs = render(&gpu, &scene, None, &settings(self.settings.spp, best, draw(4)))?.outputs()?;
         let axes = Axes::of(&scene.camera);
         let inputs = self.preparation.inputs;
         let example = &mut self.examples[(index % u64::from(self.settings.pool)) as usize];
@@ -193,7 +189,7 @@ impl Data {
         for (k, technique) in [(found, Sampler::Pcg), best].into_iter().enumerate() {
             let (seed, spp) = (draw(5 + k as u64), 4 << (draw(13 + k as u64) % 5));
             let spp = if mixed { spp } else { self.settings.spp };
-            let outputs = render(&gpu, &scene, Some(film), &settings(spp, technique, seed))?;
+            let outputs = render(&gpu, &scene, Some(film), &settings(spp, technique, seed))?.outputs()?;
             let version = &mut example.noisy[k];
             version.guides.set_axes(axes);
             let from = Guides::of(&outputs, inputs, axes);
@@ -202,7 +198,7 @@ impl Data {
             copy(&gpu, &pairs)?;
         }
         let reference = Settings { aovs: false, ..settings(self.settings.reference_spp, best, draw(9)) };
-        let mut renderer = rendered(&gpu, &scene, Some(film), &reference)?;
+        let mut renderer = render(&gpu, &scene, Some(film), &reference)?;
         copy(&gpu, &[(&renderer.radiance()?, &example.reference)])
     }
 

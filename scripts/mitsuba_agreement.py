@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Renders scenes with limpid and with Mitsuba 3 and tests whether both show the same picture. Prints a Markdown row a scene.
 
-    scripts/mitsuba.py [SCENE.xml ...]      [default: every XML file in tests/scenes]
+    scripts/mitsuba_agreement.py [SCENE.xml ...]      [default: every XML file in tests/scenes]
 
 Needs `mitsuba` and `numpy` (pip install mitsuba numpy) and limpid's binary (--limpid, else the one that cargo built).
 Mitsuba's llvm variant is used where it finds an LLVM library newer than 16 (DRJIT_LIBLLVM_PATH names one), else scalar.
@@ -26,8 +26,6 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-# This file has the name of the module that it needs.
-sys.path = [folder for folder in sys.path if Path(folder).resolve() != ROOT / "scripts"]
 RUNS = 32
 ALPHA = 0.01
 
@@ -58,6 +56,13 @@ def load_mitsuba():
     return mi
 
 
+def load_rgb(mi, path):
+    """R, G, B of an EXR that may have more channels: (height, width, 3)."""
+    bitmap = mi.Bitmap(str(path))
+    names = [field.name for field in bitmap.struct_()]
+    return np.array(bitmap, dtype=np.float64)[:, :, [names.index(c) for c in "RGB"]]
+
+
 class Limpid:
     """Runs of one scene, all samples of a run in its mean."""
 
@@ -71,9 +76,7 @@ class Limpid:
         command += ["--aa", "--json"]
         report = json.loads(subprocess.run([str(c) for c in command], check=True, capture_output=True).stdout)
         assert report["invalid_samples"] == 0, f"{self.scene}: {report['invalid_samples']} invalid samples"
-        bitmap = mi.Bitmap(str(out))
-        names = [field.name for field in bitmap.struct_()]
-        return np.array(bitmap, dtype=np.float64)[:, :, [names.index(c) for c in "RGB"]]
+        return load_rgb(mi, out)
 
 
 class Mitsuba:
