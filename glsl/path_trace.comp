@@ -32,6 +32,12 @@ layout(constant_id = 19) const bool AOVS = true;           // first hits are kep
 layout(constant_id = 21) const bool LENS = false;          // a thin lens instead of a pinhole; needs ANTIALIAS
 layout(constant_id = 20) const uint ROULETTE = 0xffffffff; // from so many reflections on a path may be ended by chance
 
+layout(constant_id = 22) const uint MATERIALS = 0;         // bits of the kinds that a surface has, beyond diffuse ones (lib/bsdf.glsl)
+layout(constant_id = 23) const bool TWO_SIDED = false;     // a surface reflects on both sides
+layout(constant_id = 24) const bool BITMAPS = false;       // a surface has a picture
+layout(constant_id = 25) const uint POINT_COUNT = 0;       // points that emit, after the rectangles
+layout(constant_id = 26) const uint ENVIRONMENT = 0;       // what is around the scene (lib/environment.glsl)
+
 const uint ESTIMATOR_UNIFORM = 0u;
 const uint ESTIMATOR_COSINE = 1u;
 const uint ESTIMATOR_NEE = 2u;
@@ -67,19 +73,21 @@ layout(push_constant) uniform Push {
 
 const uint BLOCK_SIZE = 64u;
 const uint ROULETTE_DIMENSIONS = 2048u; // beyond those of the choice of lights
-const uint LIGHT_COUNT = SPHERE_LIGHT_COUNT + RECT_LIGHT_COUNT;
+const uint ENVIRONMENT_DIMENSIONS = 4096u; // four more numbers for a direction of the environment's map
+const uint AREA_LIGHT_COUNT = SPHERE_LIGHT_COUNT + RECT_LIGHT_COUNT;
+const bool MAP_SAMPLED = ENVIRONMENT == 2u;
+// Lights that are sampled: the rest surrounds its receivers and is left to the bounces.
+const uint LIGHT_COUNT = AREA_LIGHT_COUNT + POINT_COUNT + (MAP_SAMPLED ? 1u : 0u);
 const bool NEE = ESTIMATOR == ESTIMATOR_NEE && LIGHT_COUNT > 0u;
 // Does a ray after the last reflection's light sample still find light?
-const bool LAST_RAY = !NEE || RECT_LIGHT_COUNT > 0u || INWARD_LIGHT_COUNT > 0u;
-const bool LIT = LIGHT_COUNT + INWARD_LIGHT_COUNT > 0u;
-const bool ONE_LIGHT = LIGHT_COUNT + INWARD_LIGHT_COUNT == 1u;
+const bool LAST_RAY = !NEE || RECT_LIGHT_COUNT > 0u || INWARD_LIGHT_COUNT > 0u || ENVIRONMENT != 0u || MATERIALS != 0u;
+const bool LIT = AREA_LIGHT_COUNT + INWARD_LIGHT_COUNT > 0u;
+const bool ONE_LIGHT = AREA_LIGHT_COUNT + INWARD_LIGHT_COUNT == 1u && POINT_COUNT == 0u && !MAP_SAMPLED;
+const uint POINT_FIRST = SPHERE_COUNT + RECT_COUNT;
 const uint ONE_LIGHT_ID = SPHERE_LIGHT_COUNT > 0u ? 0u : INWARD_LIGHT_COUNT > 0u ? INWARD_FIRST : SPHERE_COUNT;
 // All rectangles across an axis?
 const uint AXIS_BITS = RECT_COUNT >= 16u ? 0x55555555u : ((1u << (2u * RECT_COUNT)) - 1u) & 0x55555555u;
 const bool ALIGNED = PRELOAD && ((RECT_AXES | (RECT_AXES >> 1u)) & AXIS_BITS) == AXIS_BITS;
-
-#include "lib/scene.glsl"
-#include "lib/lights.glsl"
 
 // The streams of the pixel's samples; with HALVES odd samples of a net have a scrambling of their own, so that both halves are
 // nets and independent.
@@ -97,6 +105,9 @@ uint place_of(uint i) { return TWO_NETS ? i >> 1u : i; }
 // Random numbers of a sample at a vertex of its path; 0 is the camera.
 vec4 numbers(uint i, uint vertex) { return random4(SAMPLER, key_of(i), place_of(i), vertex); }
 float number(uint i, uint vertex) { return random1(SAMPLER, key_of(i), place_of(i), vertex); }
+
+#include "lib/scene.glsl"
+#include "lib/lights.glsl"
 
 // NaN, infinite or negative: one unsigned comparison on the bits, which no compiler folds away.
 bool invalid(vec3 x) { return max(floatBitsToUint(x.r), max(floatBitsToUint(x.g), floatBitsToUint(x.b))) >= 0x7f800000u; }
@@ -128,6 +139,74 @@ vec3 sample_direction(Vertex v, vec2 u, out float weight, out float pdf) {
     return d;
 }
 
+// How a path goes on from a vertex.
+struct Bounce {
+    vec3 d;
+    vec3 o;
+    vec3 weight;  // bsdf * cos / pdf, the vertex' albedo excluded
+    float pdf;
+    uint chosen;  // see lib/lights.glsl
+    uint skip;    // what the ray cannot hit
+    float squeeze; // of radiance by refraction
+};
+
+Bounce sample_bounce(Vertex v, vec2 u) {
+    Bounce b;
+    b.o = v.p;
+    b.skip = v.id;
+    b.chosen = WIDELY;
+    b.squeeze = 1.0;
+    float cos_o = dot(v.wo, v.n);
+    bool inside = v.back; // goes on behind the surface's own front
+    if (CONDUCTORS && v.kind == CONDUCTOR) {
+        b.d = 2.0 * cos_o * v.n - v.wo;
+        b.weight = fresnel_conductor(cos_o, row(v.id, MATERIAL_A).rgb, row(v.id, MATERIAL_B).rgb);
+        b.chosen = ALONE;
+    } else if (ROUGH_CONDUCTORS && v.kind == ROUGH_CONDUCTOR) {
+        vec3 m = sample_ggx_visible(v.n, v.wo, v.roughness, u);
+        b.d = normalize(2.0 * dot(v.wo, m) * m - v.wo);
+        Response r = respond(v, b.d);
+        b.pdf = r.pdf;
+        b.weight = r.pdf > 0.0 ? r.value / r.pdf : vec3(0.0);
+        b.chosen = GLOSSILY;
+    } else if (DIELECTRICS && v.kind == DIELECTRIC) {
+        float eta = v.back ? 1.0 / v.ior : v.ior;
+        float cos_t;
+        bool reflects = u.x < fresnel_dielectric(cos_o, eta, cos_t);
+        b.d = reflects ? 2.0 * cos_o * v.n - v.wo : (cos_o / eta - cos_t) * v.n - v.wo / eta;
+        b.d = normalize(b.d);
+        b.squeeze = reflects ? 1.0 : 1.0 / (eta * eta);
+        b.weight = row(v.id, reflects ? MATERIAL_A : MATERIAL_B).rgb * b.squeeze;
+        if (!reflects) {
+            // From the other side of the surface, as far off it. The albedo is what it reflects.
+            b.o = v.p - 2.0 * g_offset * v.n;
+            inside = !inside;
+        }
+        b.chosen = ALONE;
+    } else if (PLASTICS && v.kind == PLASTIC) {
+        Coating c = coating(v);
+        float reflected;
+        float specular = specular_probability(c, cos_o, reflected);
+        if (u.x < specular) {
+            b.d = 2.0 * cos_o * v.n - v.wo;
+            b.weight = c.specular * (reflected / specular);
+            b.chosen = ALONE;
+        } else {
+            float weight;
+            b.d = sample_direction(v, vec2((u.x - specular) / (1.0 - specular), u.y), weight, b.pdf);
+            b.pdf *= 1.0 - specular;
+            b.weight = through_coating(c, v.base, reflected, dot(b.d, v.n)) * (weight / (1.0 - specular));
+        }
+    } else {
+        float weight;
+        b.d = sample_direction(v, u, weight, b.pdf);
+        b.weight = vec3(weight);
+    }
+    // The inside of a sphere sees the sphere itself.
+    if (HOLLOW && inside && is_sphere(v.id)) b.skip = NONE;
+    return b;
+}
+
 // Screen-space normal (x right, y up, of the side that faces the camera), depth along the ray, hit.
 vec4 screen_values(vec3 n, float t) {
     return vec4(dot(n, g_right_unit), dot(n, g_up_unit), t * g_depth_scale, 1.0);
@@ -142,10 +221,13 @@ void main() {
     preload();
     set_keys(pixel);
     vec4 origin = imageLoad(scene, 0); // w: how far a ray starts off its surface
+    g_offset = origin.w;
 
     uint sample_index = sample_begin;
     uint depth = 0u; // reflections before the current ray
     float pdf = 0.0; // of the current ray's direction
+    uint chosen = ALONE, skip = NONE; // how that was chosen, and what the ray cannot hit
+    float squeezed = 1.0; // radiance by the refractions so far
     uint rays = 0u, bad = 0u, inexact = 0u;
     vec3 radiance = vec3(0.0), throughput = vec3(1.0), first_radiance = vec3(0.0);
     vec3 sum_albedo = vec3(0.0), sum_normal = vec3(0.0);
@@ -168,12 +250,14 @@ void main() {
         bool exact = true;
         if (id != NONE) {
             first = make_vertex(o + t * d, d, id, origin.w);
-            first_radiance = emission(first, d, t, 0.0, true);
+            first_radiance = emission(first, o, d, t, 0.0, ALONE);
             if (!first.front) first.albedo = vec3(0.0);
             exact = BOUNCES == 0u || first.albedo == vec3(0.0);
-            sum_albedo = first.albedo;
+            sum_albedo = shown_albedo(first);
             sum_normal = first.front ? first.n : -first.n;
             sum_screen = screen_values(sum_normal, t);
+        } else if (ENVIRONMENT != ENVIRONMENT_NONE) {
+            first_radiance = surroundings(d, 0.0, ALONE);
         }
         if (AOVS && write_aov != 0u) {
             aov_albedo[index] = vec4(sum_albedo, 0.0);
@@ -209,31 +293,44 @@ void main() {
             d = camera_ray(vec2(pixel) + u.xy, u.zw, o);
             has_ray = true;
         } else {
-            if (NEE) {
+            if (NEE && scatters_widely(vertex)) {
                 float choice = LIGHT_COUNT > 1u ? number(sample_index, depth + 1u) : 0.0;
-                radiance += throughput * sample_light(vertex, u.zw, choice, rays);
+                radiance += throughput * sample_light(vertex, u.zw, choice, sample_index, depth + 1u, rays);
             }
             at_vertex = false;
             depth += 1u;
             has_ray = LAST_RAY || depth < BOUNCES;
-            float weight;
-            d = sample_direction(vertex, u.xy, weight, pdf);
-            throughput *= weight;
-            o = vertex.p;
+            Bounce bounce = sample_bounce(vertex, u.xy);
+            d = bounce.d;
+            o = bounce.o;
+            pdf = bounce.pdf;
+            throughput *= bounce.weight;
+            if (BSDFS || HOLLOW) {
+                chosen = bounce.chosen;
+                skip = bounce.skip;
+                squeezed *= bounce.squeeze;
+                has_ray = has_ray && throughput != vec3(0.0);
+            }
         }
         if (has_ray) {
             has_ray = false;
             rays += 1u;
             float t = 1e30;
-            uint id = closest_hit(o, d, vertex.id, t);
-            if (id != NONE) {
+            bool camera = ANTIALIAS && depth == 0u;
+            if (!BSDFS && !HOLLOW) {
+                chosen = camera ? ALONE : WIDELY;
+                skip = vertex.id;
+            }
+            uint id = closest_hit(o, d, skip, t);
+            if (id == NONE) {
+                if (ENVIRONMENT != ENVIRONMENT_NONE) radiance += throughput * surroundings(d, pdf, chosen);
+            } else {
                 vertex = make_vertex(o + t * d, d, id, origin.w);
-                bool camera = ANTIALIAS && depth == 0u;
-                if (!NEE || LAST_RAY || camera) radiance += throughput * emission(vertex, d, t, pdf, camera);
+                if (!NEE || LAST_RAY || camera) radiance += throughput * emission(vertex, o, d, t, pdf, chosen);
                 if (!vertex.front) vertex.albedo = vec3(0.0);
                 if (AOVS && camera) {
                     vec3 n = vertex.front ? vertex.n : -vertex.n;
-                    sum_albedo += vertex.albedo;
+                    sum_albedo += shown_albedo(vertex);
                     sum_normal += n;
                     sum_screen += screen_values(n, t);
                 }
@@ -241,7 +338,7 @@ void main() {
                 at_vertex = depth < BOUNCES && vertex.albedo != vec3(0.0);
                 if (camera && at_vertex) inexact += 1u;
                 if (ROULETTE < BOUNCES && at_vertex && depth >= ROULETTE) {
-                    float survival = min(0.95, max(throughput.r, max(throughput.g, throughput.b)));
+                    float survival = min(0.95, max(throughput.r, max(throughput.g, throughput.b)) / squeezed);
                     at_vertex = number(sample_index, ROULETTE_DIMENSIONS + depth) < survival;
                     throughput /= survival;
                 }
@@ -274,10 +371,13 @@ void main() {
                 sum_block = lost;
             }
             depth = 0u;
+            squeezed = 1.0;
             if (ANTIALIAS) {
                 radiance = vec3(0.0);
                 throughput = vec3(1.0);
                 vertex.id = NONE;
+                chosen = ALONE;
+                skip = NONE;
             } else {
                 radiance = first_radiance;
                 throughput = first.albedo;

@@ -16,7 +16,7 @@ fn edge(lens: Option<Lens>) -> Scene {
     let glow = rectangle(DVec3::new(50.0, 0.0, -DEPTH), DVec3::X * 50.0, DVec3::Y * 50.0, 0.0, 1.0);
     let mut camera = look(DVec3::ZERO, DVec3::NEG_Z, 40.0, SIZE, SIZE);
     camera.lens = lens;
-    Scene { camera, shapes: vec![glow] }
+    Scene::new(camera, vec![glow])
 }
 
 /// Part of the unit disk with x > t.

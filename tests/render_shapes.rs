@@ -29,7 +29,7 @@ fn disk_light_on_a_patch() {
             let patch = rectangle(DVec3::ZERO, z * 1e-3, x * 1e-3, 0.5, 0.0);
             let light = disk(y, x * a, z * a, 0.0, 3.0);
             let camera = look(turn * DVec3::new(2e-4, 1e-3, 1e-4), DVec3::ZERO, 10.0, 24, 24);
-            let scene = Scene { camera, shapes: vec![patch, light] };
+            let scene = Scene::new(camera, vec![patch, light]);
             for (estimator, sampler) in ALL {
                 let settings = Settings { spp: 256, bounces: 1, estimator, sampler, ..Settings::default() };
                 let values = surface(&render(&gpu, &scene, &settings), "R");
@@ -55,7 +55,7 @@ fn disks_are_round() {
         // No rational slope: its edge would pass all pixels at the same few distances.
         let turn = DQuat::from_rotation_z(0.3);
         let shape = geometry(DVec3::ZERO, turn * DVec3::X * 1.25, turn * DVec3::Y * 0.8, 0.0, 1.0);
-        let scene = Scene { camera: look(DVec3::new(0.0, 0.0, 50.0), DVec3::ZERO, 4.0, 512, 512), shapes: vec![shape] };
+        let scene = Scene::new(look(DVec3::new(0.0, 0.0, 50.0), DVec3::ZERO, 4.0, 512, 512), vec![shape]);
         let image = render(&gpu, &scene, &Settings { spp: 1, ..Settings::default() });
         image.channels["R"].iter().filter(|&&v| v == 1.0).count() as f64
     };

@@ -116,7 +116,7 @@ fn a_scene_keeps_what_it_needs() {
     let mut scene = cornell(8);
     scene.shapes.extend((0..17).map(|i| sphere([0.0, 0.0, f64::from(i) * 0.01], 0.001, 0.5, 0.0)));
     assert!(!skips(&scene, &settings).contains(&Skip::Loops));
-    let checkered = (0..20).map(rooms::rooms).find(|scene| scene.shapes.iter().any(|s| s.checker.is_some()));
+    let checkered = (0..20).map(rooms::rooms).find(|scene| scene.shapes.iter().any(|s| s.texture.is_some()));
     assert!(!skips(&checkered.expect("a room with a checkerboard"), &settings).contains(&Skip::Checkers));
 }
 

@@ -67,7 +67,7 @@ fn loops_and_registers_agree() {
         if count == 17 {
             shapes[16] = shapes[15].clone();
         }
-        Scene { camera: look(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, 40.0, 64, 64), shapes }
+        Scene::new(look(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, 40.0, 64, 64), shapes)
     };
     let a = render(&gpu, &scene(16), &Settings { spp: 64, ..Settings::default() });
     let b = render(&gpu, &scene(17), &Settings { spp: 64, ..Settings::default() });
@@ -105,7 +105,7 @@ fn exact_pixels_cost_one_ray() {
 fn rays_are_counted() {
     let gpu = device();
     let camera = look(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, 40.0, 40, 24);
-    let light = Scene { camera: camera.clone(), shapes: vec![sphere([0.0; 3], 0.5, 0.0, 1.0)] };
+    let light = Scene::new(camera.clone(), vec![sphere([0.0; 3], 0.5, 0.0, 1.0)]);
     let rays = |scene: &Scene, settings: Settings| {
         let mut renderer = Renderer::new(&gpu, scene, &settings).expect("renderer");
         renderer.finish().expect("render");
@@ -113,7 +113,7 @@ fn rays_are_counted() {
     };
     assert_eq!(rays(&light, Settings { spp: 512, ..Settings::default() }), 40 * 24);
     // In a closed cavity without light no path ends early: one camera ray a dispatch and `bounces` rays a sample.
-    let room = Scene { camera: look(DVec3::ZERO, DVec3::X, 40.0, 40, 24), shapes: vec![cavity(1.0, 0.5, 0.0)] };
+    let room = Scene::new(look(DVec3::ZERO, DVec3::X, 40.0, 40, 24), vec![cavity(1.0, 0.5, 0.0)]);
     let settings = Settings { spp: 64, bounces: 5, estimator: Estimator::Cosine, ..Settings::default() };
     assert_eq!(rays(&room, settings.clone()), 40 * 24 * (1 + 64 * 5));
     assert_eq!(rays(&room, Settings { aa: true, ..settings }), 40 * 24 * 64 * 6);

@@ -22,7 +22,7 @@ fn rectangle_light_on_a_patch() {
             let patch = rectangle(DVec3::ZERO, turn * DVec3::Z * 1e-3, turn * DVec3::X * 1e-3, 0.5, 0.0);
             let light = rectangle(turn * DVec3::Y, turn * DVec3::X * a, turn * DVec3::Z * a, 0.0, 3.0);
             let camera = look(turn * DVec3::new(2e-4, 1e-3, 1e-4), DVec3::ZERO, 10.0, 24, 24);
-            let scene = Scene { camera, shapes: vec![patch, light] };
+            let scene = Scene::new(camera, vec![patch, light]);
             for choice in techniques() {
                 let image = render(&gpu, &scene, &settings(256, 1, choice));
                 let values = surface(&image, "R");

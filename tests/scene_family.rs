@@ -2,7 +2,7 @@
 
 use glam::{DMat4, DVec2, DVec3};
 use limpid::scene::family::{self, FRAME_PERIOD, MIN_GAP};
-use limpid::scene::{Camera, Checker, Geometry, Scene, Shape, Spec, mitsuba};
+use limpid::scene::{Camera, Checker, Geometry, Scene, Shape, Spec, Texture, mitsuba};
 
 /// Rounding of a distance between points of the box: a few ulp of 1.
 const ROUNDING: f64 = 1e-14;
@@ -239,9 +239,11 @@ fn hash_sees_every_number() {
         Box::new(move |s| next(&mut s.camera.to_world.w_axis.z)),
         Box::new(move |s| next(&mut s.shapes[0].albedo.x)),
         Box::new(move |s| next(&mut s.shapes[5].radiance.z)),
-        Box::new(|s| s.shapes[0].checker = Some(CHECKER)),
-        Box::new(|s| s.shapes[0].checker = Some(Checker { repeats: DVec2::new(1.0, 2.0), ..CHECKER })),
-        Box::new(|s| s.shapes[0].checker = Some(Checker { albedo: DVec3::X, ..CHECKER })),
+        Box::new(|s| s.shapes[0].texture = Some(Texture::Checker(CHECKER))),
+        Box::new(|s| {
+            s.shapes[0].texture = Some(Texture::Checker(Checker { repeats: DVec2::new(1.0, 2.0), ..CHECKER }))
+        }),
+        Box::new(|s| s.shapes[0].texture = Some(Texture::Checker(Checker { albedo: DVec3::X, ..CHECKER }))),
         Box::new(|s| match s.shapes[0].geometry {
             Geometry::Rectangle { center, half_u, half_v } => {
                 s.shapes[0].geometry = Geometry::Disk { center, half_u, half_v };

@@ -185,17 +185,17 @@ fn checkerboards() {
         shape(&format!(r#"<shape type="rectangle">{texture}</shape>"#))
     };
     let plain = of("", "");
-    let checker = plain.checker.unwrap();
+    let checker = plain.checker().unwrap();
     assert_eq!((plain.albedo, checker.albedo), (DVec3::splat(0.4), DVec3::splat(0.2)));
     assert_eq!((checker.repeats, checker.offset), (DVec2::ONE, DVec2::ZERO));
     let colors = r#"<rgb name="color0" value="0.1 0.2 0.3"/><rgb name="color1" value="0.4 0.5 0.6"/>
         <transform name="to_uv"><scale x="3" y="5"/><translate x="0.25" y="-0.5"/></transform>"#;
     let colored = of(colors, "");
-    let checker = colored.checker.unwrap();
+    let checker = colored.checker().unwrap();
     assert_eq!((colored.albedo, checker.albedo), (DVec3::new(0.1, 0.2, 0.3), DVec3::new(0.4, 0.5, 0.6)));
     assert_eq!((checker.repeats, checker.offset), (DVec2::new(3.0, 5.0), DVec2::new(0.25, -0.5)));
     // Where the normal is turned u and v change places, and with them the cells.
-    let flipped = of(colors, r#"<boolean name="flip_normals" value="true"/>"#).checker.unwrap();
+    let flipped = of(colors, r#"<boolean name="flip_normals" value="true"/>"#).checker().unwrap();
     assert_eq!((flipped.repeats, flipped.offset), (DVec2::new(5.0, 3.0), DVec2::new(-0.5, 0.25)));
 }
 
@@ -222,10 +222,10 @@ fn cubes_are_six_rectangles() {
     let plain = cube("");
     assert_eq!(geometries(&plain), faces(false));
     assert_eq!((plain[0].name.as_str(), plain[5].name.as_str()), ("box-1", "box-6"));
-    assert!(plain.iter().all(|shape| shape.checker.unwrap().repeats == DVec2::new(5.0, 3.0)));
+    assert!(plain.iter().all(|shape| shape.checker().unwrap().repeats == DVec2::new(5.0, 3.0)));
     let flipped = cube(r#"<boolean name="flip_normals" value="true"/>"#);
     assert_eq!(geometries(&flipped), faces(true));
-    assert!(flipped.iter().all(|shape| shape.checker.unwrap().repeats == DVec2::new(3.0, 5.0)));
+    assert!(flipped.iter().all(|shape| shape.checker().unwrap().repeats == DVec2::new(3.0, 5.0)));
     let transform = |inside: &str| format!("<transform name=\"to_world\">{inside}</transform>");
     // Outward still where it is mirrored; also turned and scaled.
     let operations = r#"<scale x="-1" y="2" z="0.5"/><rotate y="1" angle="30"/><translate x="3"/>"#;
@@ -247,7 +247,7 @@ fn checkerboards_on_turned_disks() {
             <bsdf type="diffuse"><texture type="checkerboard" name="reflectance"><transform name="to_uv">
             <scale x="3" y="5"/><translate x="0.25" y="-0.5"/></transform></texture></bsdf></shape>"#
         ))
-        .checker
+        .checker()
         .unwrap()
     };
     let plain = of("x=\"1\"");
@@ -315,7 +315,7 @@ fn included_files() {
 #[test]
 fn lenient_leaves_out_and_names_it() {
     let body = r##"<integrator type="volpath"/>
-        <bsdf type="twosided" id="a"><bsdf type="diffuse"><float name="reflectance" value="0.25"/></bsdf></bsdf>
+        <bsdf type="bumpmap" id="a"><bsdf type="diffuse"><float name="reflectance" value="0.25"/></bsdf></bsdf>
         <bsdf type="hair" id="b"/>
         <shape type="sphere" id="one"><ref id="a"/><float name="bumpiness" value="1"/></shape>
         <shape type="sphere" id="two"><ref id="b"/></shape>
@@ -331,7 +331,7 @@ fn lenient_leaves_out_and_names_it() {
     ))
     .unwrap_err()
     .to_string();
-    assert!(strict.starts_with("test.xml:4: ") && strict.contains("twosided"), "{strict}");
+    assert!(strict.starts_with("test.xml:4: ") && strict.contains("bumpmap"), "{strict}");
     let lenient = Options { lenient: true, ..Options::default() };
     let loaded = load_with(
         &format!(
@@ -351,7 +351,7 @@ fn lenient_leaves_out_and_names_it() {
         (12, "<emitter"),
         (13, "<medium"),
         (3, "volpath"),
-        (4, "twosided"),
+        (4, "bumpmap"),
         (5, "hair"),
         (6, "bumpiness"),
         (8, "sdfgrid"),
@@ -433,9 +433,10 @@ fn sensors() {
 fn errors_name_line_and_element() {
     // Every body starts at line 2 of the file; the sensor is line 2 where it is given.
     let cases = [
-        (3, "conductor", r#"<bsdf type="conductor" id="a"/>"#),
+        (3, "roughplastic", r#"<bsdf type="roughplastic" id="a"/>"#),
         (3, "supported: sphere, rectangle", r#"<shape type="cylinder"/>"#),
-        (3, "<texture", "<texture type=\"bitmap\" name=\"x\"/>"),
+        (3, "lacks <string name=\"filename\">", "<texture type=\"bitmap\" id=\"x\"/>"),
+        (3, "noise", "<texture type=\"noise\" id=\"x\"/>"),
         (4, "<float name=\"radiuss\">", "<shape type=\"sphere\">\n<float name=\"radiuss\" value=\"1\"/></shape>"),
         (4, "<medium", "<shape type=\"sphere\">\n<medium type=\"x\" name=\"interior\"/></shape>"),
         (3, "second <sensor>", r#"<sensor type="perspective"><float name="fov" value="4"/></sensor>"#),
@@ -444,7 +445,7 @@ fn errors_name_line_and_element() {
         (3, "limit", r#"<integrator type="path"><integer name="max_depth" value="-1"/></integrator>"#),
         (3, "hide_emitters", r#"<integrator type="path"><boolean name="hide_emitters" value="true"/></integrator>"#),
         (3, "'nope'", r#"<shape type="sphere"><ref id="nope"/></shape>"#),
-        (3, "bitmap", r#"<bsdf type="diffuse"><texture type="bitmap" name="reflectance"/></bsdf>"#),
+        (3, "filename", r#"<bsdf type="diffuse"><texture type="bitmap" name="reflectance"/></bsdf>"#),
         (3, "must be named", r#"<bsdf type="diffuse"><texture type="checkerboard" name="x"/></bsdf>"#),
         (
             4,

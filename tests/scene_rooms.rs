@@ -5,7 +5,7 @@ mod render_support;
 use glam::{DVec2, DVec3};
 use limpid::render::{Estimator, Sampler, Settings};
 use limpid::scene::rooms::rooms;
-use limpid::scene::{Camera, Checker, Geometry, Scene, Shape, Spec, mitsuba};
+use limpid::scene::{Camera, Checker, Geometry, Scene, Shape, Spec, Texture, mitsuba};
 use render_support::{device, look, rectangle, render, sphere};
 use std::collections::BTreeSet;
 
@@ -48,7 +48,7 @@ fn members_follow_their_definition() {
         counts.insert(spheres.len());
         lights.insert(lit.len());
         hidden += u32::from(lit.iter().any(|light| is_hidden(eye, center(light), &spheres)));
-        patterned += u32::from(scene.shapes.iter().any(|s| s.checker.is_some()));
+        patterned += u32::from(scene.shapes.iter().any(|s| s.texture.is_some()));
         assert_eq!(scene, rooms(n), "{what} differs from itself");
     }
     assert_eq!((counts.first(), counts.last()), (Some(&2), Some(&40)));
@@ -100,7 +100,7 @@ fn the_name_is_parsed_and_written_scenes_load_bit_for_bit() {
 fn reflectance(shape: &Shape, p: DVec3) -> Option<DVec3> {
     /// Closer to the edge of a cell than this, either side will do: f32 places a hit to about 1e-6.
     const EDGE: f64 = 1e-4;
-    let Some(checker) = shape.checker else { return Some(shape.albedo) };
+    let Some(checker) = shape.checker() else { return Some(shape.albedo) };
     let uv = match shape.geometry {
         Geometry::Rectangle { center, half_u, half_v } => {
             let along = |half: DVec3| 0.5 + 0.5 * (p - center).dot(half) / half.length_squared();
@@ -166,7 +166,7 @@ fn check_albedo(scene: &Scene, what: &str) {
         let Some((p, k)) = hit(scene, &scene.camera, pixel) else { continue };
         let Some(expected) = reflectance(&scene.shapes[k], p) else { continue };
         counted += 1;
-        second += u32::from(scene.shapes[k].checker.is_some_and(|c| c.albedo == expected));
+        second += u32::from(scene.shapes[k].checker().is_some_and(|c| c.albedo == expected));
         let found = albedo.map(|plane| plane[at]);
         if found != expected.to_array().map(|v| v as f32) {
             wrong.push((pixel, found, expected));
@@ -180,36 +180,37 @@ fn check_albedo(scene: &Scene, what: &str) {
 #[test]
 fn checkerboards_lie_where_their_definition_says() {
     let checker = |repeats: (f64, f64), offset: (f64, f64)| {
-        Some(Checker { albedo: DVec3::new(0.1, 0.7, 0.3), repeats: repeats.into(), offset: offset.into() })
+        let checker = Checker { albedo: DVec3::new(0.1, 0.7, 0.3), repeats: repeats.into(), offset: offset.into() };
+        Some(Texture::Checker(checker))
     };
     let walls = [
         Shape {
-            checker: checker((3.0, 5.0), (0.2, 0.1)),
+            texture: checker((3.0, 5.0), (0.2, 0.1)),
             ..rectangle(DVec3::new(-1.2, 0.1, -0.3), DVec3::X, 0.8 * DVec3::Y, 0.6, 0.0)
         },
         // Across no axis.
         Shape {
-            checker: checker((4.0, 1e-3), (0.3, 0.0)),
+            texture: checker((4.0, 1e-3), (0.3, 0.0)),
             ..rectangle(DVec3::new(1.2, 0.0, 0.0), DVec3::new(0.6, 0.0, 0.8), DVec3::Y, 0.4, 0.0)
         },
     ];
-    let ball = Shape { checker: checker((2.0, 3.0), (0.0, 0.25)), ..sphere([0.0, 0.2, 1.0], 0.7, 0.5, 0.0) };
+    let ball = Shape { texture: checker((2.0, 3.0), (0.0, 0.25)), ..sphere([0.0, 0.2, 1.0], 0.7, 0.5, 0.0) };
     let light = sphere([0.0, 4.0, 4.0], 0.5, 0.0, 5.0);
     let disk = Geometry::Disk { center: DVec3::new(0.1, -1.0, 1.5), half_u: 0.7 * DVec3::X, half_v: -0.9 * DVec3::Z };
-    let disk = Shape { geometry: disk, checker: checker((2.0, 3.0), (0.1, 0.2)), ..walls[0].clone() };
+    let disk = Shape { geometry: disk, texture: checker((2.0, 3.0), (0.1, 0.2)), ..walls[0].clone() };
     let shapes = [walls.to_vec(), vec![disk, ball, light]].concat();
     let camera = look(DVec3::new(0.4, 0.5, 5.0), DVec3::ZERO, 45.0, 96, 80);
-    check_albedo(&Scene { camera, shapes: shapes.clone() }, "few shapes");
+    check_albedo(&Scene::new(camera, shapes.clone()), "few shapes");
     // More than are held in registers.
     let far = |i: u32| sphere([f64::from(i), 40.0, -40.0], 0.3, 0.5, 0.0);
     let many = [shapes, (0..20).map(far).collect()].concat();
     let camera = look(DVec3::new(0.4, 0.5, 5.0), DVec3::ZERO, 45.0, 96, 80);
-    check_albedo(&Scene { camera, shapes: many }, "many shapes");
+    check_albedo(&Scene::new(camera, many), "many shapes");
 }
 
 #[test]
 fn rooms_show_their_patterns() {
-    let numbers = (0..12).filter(|n| rooms(*n).shapes.iter().any(|s| s.checker.is_some()));
+    let numbers = (0..12).filter(|n| rooms(*n).shapes.iter().any(|s| s.texture.is_some()));
     for n in numbers.take(3) {
         let mut scene = rooms(n);
         (scene.camera.width, scene.camera.height) = (96, 96);

@@ -11,30 +11,61 @@ bool emits(uint id) {
         || (id >= SPHERE_COUNT && id < SPHERE_COUNT + RECT_LIGHT_COUNT);
 }
 
+// How the direction of a ray was chosen: what light sampling at its origin has counted of the light that it meets.
+const uint ALONE = 0u;   // nothing: a camera ray, or a lobe of one direction
+const uint WIDELY = 1u;  // spheres wholly, the rest by the balance heuristic
+const uint GLOSSILY = 2u; // all by the balance heuristic
+
+// The i-th of the lights that are sampled: spheres, rectangles and disks, points; the environment's map comes after them.
+uint light_at(uint i) { return i < SPHERE_LIGHT_COUNT ? i : i < AREA_LIGHT_COUNT ? SPHERE_COUNT + i - SPHERE_LIGHT_COUNT : POINT_FIRST + i - AREA_LIGHT_COUNT; }
+
 // Light that reaches the vertex directly from one chosen light, per unit of throughput (albedo excluded).
-vec3 sample_light(Vertex v, vec2 u, float choice, inout uint rays) {
+vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex, inout uint rays) {
     uint light = 0u;
     float share = 1.0;
     if (LIGHT_COUNT > 1u) {
         float below = 0.0;
         share = 0.0;
         for (uint i = 0u; i < LIGHT_COUNT; ++i) {
-            uint id = i < SPHERE_LIGHT_COUNT ? i : SPHERE_COUNT + i - SPHERE_LIGHT_COUNT;
-            float above = row(id, RADIANCE).w;
+            bool surrounds = MAP_SAMPLED && i + 1u == LIGHT_COUNT;
+            uint id = surrounds ? NONE : light_at(i);
+            float above = surrounds ? 1.0 : row(id, RADIANCE).w;
             bool chosen = choice >= below && choice < above;
             light = chosen ? id : light;
             share = chosen ? above - below : share;
             below = above;
         }
-    } else if (SPHERE_LIGHT_COUNT == 0u) {
-        light = SPHERE_COUNT;
+    } else {
+        light = MAP_SAMPLED ? NONE : light_at(0u);
     }
     if (light == v.id || share <= 0.0) return vec3(0.0);
-    vec4 g = ONE_LIGHT ? g_light : row(light, GEOMETRY);
+    bool mapped = MAP_SAMPLED && light == NONE;
+    bool point = POINT_COUNT > 0u && !mapped && light >= POINT_FIRST;
+    vec4 g = vec4(0.0);
+    if (!mapped) g = ONE_LIGHT ? g_light : row(light, GEOMETRY);
     vec3 wi;
     float t_light;
     float weight; // cos / (pi * pdf), with the balance heuristic where a bounce can find the light too
-    if (RECT_LIGHT_COUNT == 0u || (SPHERE_LIGHT_COUNT > 0u && light < SPHERE_LIGHT_COUNT)) {
+    float pdf_light;
+    vec3 radiance;
+    if (mapped) {
+        wi = sample_environment(numbers(sample_index, ENVIRONMENT_DIMENSIONS + vertex), u);
+        t_light = 1e30;
+        vec4 seen = environment(wi);
+        radiance = seen.rgb;
+        pdf_light = share * seen.w;
+        float pdf_bounce = max(0.0, dot(wi, v.n)) / PI;
+        weight = pdf_bounce / (pdf_light + pdf_bounce);
+    } else if (point) {
+        vec3 q = g.xyz - v.p;
+        float distance2 = dot(q, q);
+        float inverse = inversesqrt(distance2);
+        wi = q * inverse;
+        t_light = distance2 * inverse;
+        // As if a density of one square unit of distance had been drawn: nothing else finds the point.
+        pdf_light = share * distance2;
+        weight = max(0.0, dot(wi, v.n)) / (PI * pdf_light);
+    } else if (RECT_LIGHT_COUNT == 0u || (SPHERE_LIGHT_COUNT > 0u && light < SPHERE_LIGHT_COUNT)) {
         vec3 to_center = g.xyz - v.p;
         float distance2 = dot(to_center, to_center);
         float s2 = g.w * g.w / distance2;
@@ -46,6 +77,7 @@ vec3 sample_light(Vertex v, vec2 u, float choice, inout uint rays) {
         float sin2 = omc * (2.0 - omc);
         t_light = distance2 * inverse * ((1.0 - omc) - sqrt(max(0.0, s2 - sin2)));
         weight = dot(wi, v.n) * 2.0 * cone / share;
+        pdf_light = share / (2.0 * PI * cone);
     } else {
         vec2 s = is_disk(light - SPHERE_COUNT) ? sample_disk(u) : 2.0 * u - 1.0;
         vec3 q = g.xyz + s.x * row(light, HALF_U).xyz + s.y * row(light, HALF_V).xyz - v.p;
@@ -55,23 +87,45 @@ vec3 sample_light(Vertex v, vec2 u, float choice, inout uint rays) {
         t_light = distance2 * inverse;
         float facing = -dot(wi, row(light, NORMAL).xyz);
         if (!(facing > 0.0) || !(distance2 > 0.0)) return vec3(0.0);
-        float pdf_light = share * distance2 / (facing * g.w);
+        pdf_light = share * distance2 / (facing * g.w);
         float pdf_bounce = max(0.0, dot(wi, v.n)) / PI;
         weight = pdf_bounce / (pdf_light + pdf_bounce);
     }
     if (!(weight > 0.0)) return vec3(0.0);
+    vec3 weights = vec3(weight);
+    if (BSDFS && v.kind != DIFFUSE) {
+        Response r = respond(v, wi);
+        bool weighed = !point && (v.kind == ROUGH_CONDUCTOR || mapped || light >= SPHERE_COUNT);
+        weights = r.value / (pdf_light + (weighed ? r.pdf : 0.0));
+        if (!(max(weights.r, max(weights.g, weights.b)) > 0.0)) return vec3(0.0);
+    }
     rays += 1u;
-    if (occluded(v.p, wi, t_light, v.id, light)) return vec3(0.0);
-    return weight * (ONE_LIGHT ? g_light_radiance : row(light, RADIANCE).rgb);
+    // From inside a sphere, the sphere itself is in the way.
+    uint receiver = HOLLOW && v.back && is_sphere(v.id) ? NONE : v.id;
+    if (occluded(v.p, wi, t_light, receiver, light)) return vec3(0.0);
+    if (!mapped) radiance = ONE_LIGHT ? g_light_radiance : row(light, RADIANCE).rgb;
+    return weights * radiance;
 }
 
-// Emission met by a ray; with light sampling only what that technique leaves to this one.
-vec3 emission(Vertex v, vec3 d, float t, float pdf_bounce, bool camera) {
-    if (!LIT || !v.front || !emits(v.id)) return vec3(0.0);
+// Emission met by a ray from `o`; with light sampling only what that technique leaves to this one.
+vec3 emission(Vertex v, vec3 o, vec3 d, float t, float pdf_bounce, uint chosen) {
+    if (!LIT || !v.front || v.back || !emits(v.id)) return vec3(0.0);
     vec4 radiance = ONE_LIGHT ? vec4(g_light_radiance, 1.0) : row(v.id, RADIANCE);
     float weight = 1.0;
-    if (NEE && !camera) {
-        if (v.id < SPHERE_LIGHT_COUNT) weight = 0.0;
+    if (NEE && chosen != ALONE) {
+        if (v.id < SPHERE_LIGHT_COUNT) {
+            weight = 0.0;
+            if (ROUGH_CONDUCTORS && chosen == GLOSSILY) {
+                vec4 sphere = row(v.id, GEOMETRY);
+                vec3 to_center = sphere.xyz - o;
+                float s2 = sphere.w * sphere.w / dot(to_center, to_center);
+                float share = radiance.w - (v.id > 0u ? row(v.id - 1u, RADIANCE).w : 0.0);
+                if (ONE_LIGHT) share = 1.0;
+                // A receiver inside the light has no light sample of it.
+                float pdf_light = s2 < 1.0 ? share / (2.0 * PI * cone_one_minus_cos(s2)) : 0.0;
+                weight = pdf_bounce / (pdf_bounce + pdf_light);
+            }
+        }
         if (RECT_LIGHT_COUNT > 0u && v.id >= SPHERE_COUNT) {
             uint i = v.id - SPHERE_COUNT;
             float below = 0.0;
@@ -82,6 +136,14 @@ vec3 emission(Vertex v, vec3 d, float t, float pdf_bounce, bool camera) {
         }
     }
     return weight * radiance.rgb;
+}
+
+// What a ray meets beyond the scene, likewise.
+vec3 surroundings(vec3 d, float pdf_bounce, uint chosen) {
+    vec4 seen = environment(d);
+    if (!MAP_SAMPLED || !NEE || chosen == ALONE) return seen.rgb;
+    float share = imageLoad(scene, ENVIRONMENT_ROW + 3).w;
+    return seen.rgb * (pdf_bounce / (pdf_bounce + share * seen.w));
 }
 
 #endif

@@ -35,17 +35,23 @@ vec2 sample_disk(vec2 u) {
 // 1 - cos of the half angle under which a sphere is seen, s2 = (radius / distance)^2; free of cancellation for far lights.
 float cone_one_minus_cos(float s2) { return s2 / (1.0 + sqrt(max(0.0, 1.0 - s2))); }
 
+// Two unit vectors that make a right-handed basis with the unit vector `n` (Duff et al., "Building an Orthonormal Basis, Revisited",
+// JCGT 6(1), 2017).
+void make_basis(vec3 n, out vec3 tangent, out vec3 bitangent) {
+    float s = n.z < 0.0 ? -1.0 : 1.0;
+    float a = -1.0 / (s + n.z);
+    float b = n.x * n.y * a;
+    tangent = vec3(1.0 + s * n.x * n.x * a, s * b, -s * n.x);
+    bitangent = vec3(b, s + n.y * n.y * a, -n.y);
+}
+
 // Uniform in the cone about the unit vector `axis`; `one_minus_cos` is set to that of the direction returned.
 vec3 sample_cone(vec3 axis, float cone, vec2 u, out float one_minus_cos) {
     one_minus_cos = u.x * cone;
     float radius = sqrt(one_minus_cos * (2.0 - one_minus_cos));
     float phi = 2.0 * PI * u.y;
-    // Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
-    float s = axis.z < 0.0 ? -1.0 : 1.0;
-    float a = -1.0 / (s + axis.z);
-    float b = axis.x * axis.y * a;
-    vec3 tangent = vec3(1.0 + s * axis.x * axis.x * a, s * b, -s * axis.x);
-    vec3 bitangent = vec3(b, s + axis.y * axis.y * a, -axis.y);
+    vec3 tangent, bitangent;
+    make_basis(axis, tangent, bitangent);
     return axis * (1.0 - one_minus_cos) + tangent * (radius * cos(phi)) + bitangent * (radius * sin(phi));
 }
 

@@ -3,12 +3,14 @@
 #ifndef LIMPID_SCENE_GLSL
 #define LIMPID_SCENE_GLSL
 
+#include "lib/bsdf.glsl"
+#include "lib/environment.glsl"
 #include "lib/intersect.glsl"
 #include "lib/sampling.glsl"
 
 const uint NONE = 0xffffffffu;
-const int CAMERA_ROWS = 4;
-const int PRIMITIVE_ROWS = 12;
+const int CAMERA_ROWS = 8; // four of the camera, four of the environment
+const int PRIMITIVE_ROWS = 16;
 
 vec4 row(uint id, int k) { return imageLoad(scene, CAMERA_ROWS + int(id) * PRIMITIVE_ROWS + k); }
 
@@ -23,8 +25,12 @@ const int HALF_U = 6;   // w: limit to which a hit is pulled inside
 const int HALF_V = 7;
 const int EXTENT = 8;   // across an axis: half extents, enlarged
 const int INNER = 9;    // across an axis: half extents to which a hit is pulled inside
-const int CHECKER = 10; // the second reflectance, w: 1 where there is one
-const int CHECKER_UV = 11; // repeats and offset
+const int TEXTURE = 10; // w: 0 none, 1 checkerboard with this second reflectance, 2 bitmap with this row of its matrix
+const int TEXTURE_UV = 11; // checkerboard: repeats and offset; bitmap: the other row
+const int MATERIAL = 12;   // kind, roughness, index of refraction, 1 where both sides reflect
+const int MATERIAL_A = 13; // conductor: eta; dielectric: reflectance; plastic: coating's reflectance, internal reflection
+const int MATERIAL_B = 14; // conductor: k; dielectric: transmittance; plastic: share of the coating in the choice, 1 if nonlinear
+const int BITMAP = 15;     // first texel, width, height, wrap + 4 * nearest
 
 const uint SPHERES = SPHERE_COUNT > 0u ? SPHERE_COUNT : 1u;
 const uint RECTS = RECT_COUNT > 0u ? RECT_COUNT : 1u;
@@ -42,6 +48,7 @@ vec3 g_up;
 vec3 g_forward;
 vec3 g_right_unit;
 vec3 g_up_unit;
+float g_offset; // how far a ray starts off its surface
 vec2 g_lens; // radius of the aperture, depth of what is in focus
 float g_depth_scale; // from the scene's units here to those of the world
 
@@ -94,15 +101,27 @@ struct Vertex {
     vec3 n;
     vec3 albedo;
     uint id;
-    bool front;
+    bool front;   // seen from a side that scatters
+    // With other materials than diffuse ones:
+    bool back;    // that side is the back
+    uint kind;
+    float roughness;
+    float ior;
+    vec3 base;    // plastic: reflectance under the coating
+    vec3 wo;
 };
+
+// Outward spheres whose inside is lit as well.
+const bool HOLLOW = TWO_SIDED || DIELECTRICS;
+
+bool is_sphere(uint id) { return SPHERE_COUNT > 0u && id < SPHERE_COUNT; }
 
 // Closest hit; `skip` is the convex primitive that the ray leaves.
 uint closest_hit(vec3 o, vec3 d, uint skip, inout float best) {
     uint id = NONE;
     [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
         bool inward = i >= INWARD_FIRST;
-        float t = hit_sphere(o, d, sphere_at(i), inward || CAMERA_INSIDE);
+        float t = hit_sphere(o, d, sphere_at(i), inward || CAMERA_INSIDE || HOLLOW);
         bool closer = t > 0.0 && t < best && (inward || i != skip);
         best = closer ? t : best;
         id = closer ? i : id;
@@ -123,7 +142,7 @@ bool occluded(vec3 o, vec3 d, float t_max, uint receiver, uint light) {
     [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
         if (LIGHT_COUNT == 1u && SPHERE_LIGHT_COUNT == 1u && i == 0u) continue;
         bool inward = i >= INWARD_FIRST;
-        bool hit = blocks_sphere(o, d, t_max, sphere_at(i), inward);
+        bool hit = blocks_sphere(o, d, t_max, sphere_at(i), inward || HOLLOW);
         blocked = blocked || (hit && i != light && (inward || i != receiver));
     }
     vec3 reciprocal = 1.0 / d;
@@ -141,10 +160,46 @@ float turn(vec2 s) {
     return part < 0.0 ? part + 1.0 : part;
 }
 
-// The reflectance at a point of a surface that may have a checkerboard (src/scene/mod.rs, Checker).
-vec3 checkered(uint id, bool rect, vec3 p, vec3 albedo) {
-    vec4 second = row(id, CHECKER);
-    vec4 map = row(id, CHECKER_UV);
+// A texel's place along one side of a picture of `size` texels.
+int wrapped(int i, int size, uint wrap) {
+    if (wrap == 2u) return clamp(i, 0, size - 1);
+    int period = wrap == 1u ? 2 * size : size;
+    i = i < 0 ? i + period : i;
+    i = i >= period ? i - period : i;
+    return i < size ? i : period - 1 - i;
+}
+
+// A picture's colour; what is repeated is taken back to the first period before f32 runs out of digits.
+vec3 bitmap(uint id, vec2 uv) {
+    vec4 place = row(id, BITMAP);
+    uint flags = uint(place.w), wrap = flags & 3u;
+    if (wrap == 0u) uv = fract(uv);
+    else if (wrap == 1u) uv = 2.0 * fract(0.5 * uv);
+    else uv = clamp(uv, vec2(0.0), vec2(1.0));
+    bool nearest = flags >= 4u;
+    vec2 at = uv * place.yz - (nearest ? 0.0 : 0.5);
+    vec2 corner = floor(at), f = at - corner;
+    int width = int(place.y), height = int(place.z);
+    int x0 = wrapped(int(corner.x), width, wrap), y0 = int(place.x) + width * wrapped(int(corner.y), height, wrap);
+    vec3 first = imageLoad(scene, y0 + x0).rgb;
+    if (nearest) return first;
+    int x1 = wrapped(int(corner.x) + 1, width, wrap), y1 = int(place.x) + width * wrapped(int(corner.y) + 1, height, wrap);
+    vec3 above = mix(first, imageLoad(scene, y0 + x1).rgb, f.x);
+    vec3 below = mix(imageLoad(scene, y1 + x0).rgb, imageLoad(scene, y1 + x1).rgb, f.x);
+    return mix(above, below, f.y);
+}
+
+// The reflectance at (u, v) of a surface that may have a texture (src/scene/material.rs).
+vec3 textured_uv(uint id, vec2 uv, vec3 albedo) {
+    vec4 second = row(id, TEXTURE);
+    vec4 map = row(id, TEXTURE_UV);
+    if (BITMAPS && second.w == 2.0) return bitmap(id, vec2(dot(second.xy, uv) + second.z, dot(map.xy, uv) + map.z));
+    bvec2 upper = greaterThan(fract(uv * map.xy + map.zw), vec2(0.5));
+    return second.w == 0.0 || upper.x == upper.y ? albedo : second.rgb;
+}
+
+// The same at a point of a primitive.
+vec3 textured(uint id, bool rect, vec3 p, vec3 albedo) {
     vec3 f = p - row(id, GEOMETRY).xyz;
     vec2 uv;
     if (rect) {
@@ -154,8 +209,56 @@ vec3 checkered(uint id, bool rect, vec3 p, vec3 albedo) {
         vec3 n = normalize(f);
         uv = vec2(turn(n.xy), acos(clamp(n.z, -1.0, 1.0)) / PI);
     }
-    bvec2 upper = greaterThan(fract(uv * map.xy + map.zw), vec2(0.5));
-    return second.w == 0.0 || upper.x == upper.y ? albedo : second.rgb;
+    return textured_uv(id, uv, albedo);
+}
+
+// Reads the material, and turns the normal where the back scatters too. `surface` has the material's rows.
+void set_material(inout Vertex v, vec3 d, uint surface) {
+    v.front = dot(d, v.n) < 0.0;
+    if (!BSDFS && !TWO_SIDED) return;
+    vec4 material = row(surface, MATERIAL);
+    v.kind = uint(material.x);
+    v.roughness = material.y;
+    v.ior = material.z;
+    v.wo = -d;
+    v.back = !v.front && (material.w != 0.0 || v.kind == DIELECTRIC);
+    if (v.back) {
+        v.front = true;
+        v.n = -v.n;
+    }
+    // Lobes of different colours: they bring them in as they are chosen.
+    if (PLASTICS && v.kind == PLASTIC) v.base = v.albedo;
+    if (PLASTICS && v.kind == PLASTIC || DIELECTRICS && v.kind == DIELECTRIC) v.albedo = vec3(1.0);
+}
+
+// The coating of a plastic.
+Coating coating(Vertex v) {
+    vec4 a = row(v.id, MATERIAL_A), b = row(v.id, MATERIAL_B);
+    return Coating(v.ior, a.w, b.x, b.y != 0.0, a.rgb);
+}
+
+// What a vertex sends toward the camera of the light from `wi`, its albedo excluded; see lib/bsdf.glsl.
+Response respond(Vertex v, vec3 wi) {
+    float cosine = max(0.0, dot(wi, v.n));
+    Response r = Response(vec3(cosine / PI), cosine / PI);
+    if (ROUGH_CONDUCTORS && v.kind == ROUGH_CONDUCTOR) {
+        r = respond_rough(v.n, v.wo, wi, v.roughness, row(v.id, MATERIAL_A).rgb, row(v.id, MATERIAL_B).rgb);
+    } else if (PLASTICS && v.kind == PLASTIC) {
+        Coating c = coating(v);
+        float reflected;
+        r.pdf *= 1.0 - specular_probability(c, dot(v.wo, v.n), reflected);
+        r.value *= through_coating(c, v.base, reflected, cosine);
+    }
+    return r;
+}
+
+// Does light sampling find any light that the vertex scatters?
+bool scatters_widely(Vertex v) { return !BSDFS || v.kind == DIFFUSE || v.kind >= ROUGH_CONDUCTOR && v.kind != DIELECTRIC; }
+
+// What the picture of first hits shows as the surface's colour.
+vec3 shown_albedo(Vertex v) {
+    if (PLASTICS && v.kind == PLASTIC) return v.base;
+    return v.albedo;
 }
 
 // A hit of a rectangle or disk of any orientation, pulled back into its plane and off its edge.
@@ -180,6 +283,8 @@ vec3 pulled_inside(uint id, vec3 p, vec3 center) {
 Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
     Vertex v;
     v.id = id;
+    v.back = false;
+    v.kind = DIFFUSE;
     bool rect = RECT_COUNT > 0u && (SPHERE_COUNT == 0u || id >= SPHERE_COUNT);
     if (SPHERE_COUNT > 0u && !rect) {
         vec4 s = sphere_at(0u);
@@ -220,8 +325,8 @@ Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
             v.p = pulled_inside(id, p, center);
         }
     }
-    if (CHECKERS) v.albedo = checkered(id, rect, v.p, v.albedo);
-    v.front = dot(d, v.n) < 0.0;
+    if (CHECKERS || BITMAPS) v.albedo = textured(id, rect, v.p, v.albedo);
+    set_material(v, d, id);
     v.p += offset * v.n;
     return v;
 }

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::pack::{Frame, order};
 use super::settings::{Estimator, Sampler, Settings};
 use crate::named::named;
-use crate::scene::{Geometry, Scene, Shape};
+use crate::scene::{Bsdf, Environment, Geometry, Scene, Shape, Texture};
 use crate::shaders;
 
 /// Up to this many spheres and as many rectangles are held in registers and tested without a loop.
@@ -36,6 +36,16 @@ pub struct Features {
     pub rect_blockers: u32,
     /// A surface has two reflectances in a checkerboard.
     pub checkers: bool,
+    /// A surface has a picture.
+    pub bitmaps: bool,
+    /// One bit a kind of material that a surface has beyond diffuse ones, as [`material_kind`] counts them.
+    pub materials: u32,
+    /// A surface scatters on both sides.
+    pub two_sided: bool,
+    /// Points that emit.
+    pub point_count: u32,
+    /// What surrounds the scene: 0 nothing, 1 the same radiance from everywhere, 2 a map.
+    pub environment: u32,
     /// Few primitives: all in registers.
     pub preload: bool,
     /// The camera is inside a sphere whose normal points outward.
@@ -72,6 +82,8 @@ pub enum Skip {
     FarSides,
     /// The lookup of a second reflectance.
     Checkers,
+    /// Every material but diffuse ones.
+    Materials,
     /// First-hit values.
     Aovs,
 }
@@ -83,6 +95,7 @@ named!(
     ShadowTests = "shadow-tests",
     FarSides = "far-sides",
     Checkers = "checkers",
+    Materials = "materials",
     Aovs = "aovs"
 );
 
@@ -96,6 +109,9 @@ impl Features {
             Skip::ShadowTests => self.rect_blockers = u32::MAX,
             Skip::FarSides => self.camera_inside = true,
             Skip::Checkers => self.checkers = true,
+            Skip::Materials => {
+                (self.materials, self.two_sided) = (ALL_MATERIALS, true);
+            }
             Skip::Aovs => self.aovs = true,
         }
         self
@@ -126,7 +142,7 @@ impl Features {
             rect_blockers = 0;
             for (i, rect) in rects.iter().enumerate() {
                 rect_axes |= axis_of(&rect.geometry) << (2 * i);
-                rect_blockers |= u32::from(can_block(rect, &shapes, 1e-7 * frame.half_extent)) << i;
+                rect_blockers |= u32::from(can_block(rect, scene, 1e-7 * frame.half_extent)) << i;
             }
         }
         Self {
@@ -140,7 +156,16 @@ impl Features {
             inward_light_count: count(&|s| is_inward(s) && emits(s)),
             rect_axes,
             rect_blockers,
-            checkers: shapes.iter().any(|s| s.checker.is_some()),
+            checkers: shapes.iter().any(|s| matches!(s.texture, Some(Texture::Checker(_)))),
+            bitmaps: shapes.iter().any(|s| matches!(s.texture, Some(Texture::Bitmap(_)))),
+            materials: shapes.iter().map(|s| 1 << material_kind(&s.bsdf)).fold(0, |all, bit| all | bit) & ALL_MATERIALS,
+            two_sided: shapes.iter().any(|s| s.two_sided),
+            point_count: scene.points.len() as u32,
+            environment: match scene.environment {
+                None => 0,
+                Some(Environment::Constant(_)) => 1,
+                Some(Environment::Map(_)) => 2,
+            },
             preload,
             camera_inside: camera_inside(scene),
             estimator: settings.estimator,
@@ -168,6 +193,11 @@ impl Features {
             rect_axes: self.rect_axes,
             rect_blockers: self.rect_blockers,
             checkers: self.checkers,
+            bitmaps: self.bitmaps,
+            materials: self.materials,
+            two_sided: self.two_sided,
+            point_count: self.point_count,
+            environment: self.environment,
             preload: self.preload,
             camera_inside: self.camera_inside,
             estimator: match self.estimator {
@@ -192,9 +222,14 @@ impl Features {
     /// Loop iterations of one path at most, inner loops included: whether a driver unrolls them is its own affair.
     pub(super) fn iterations_per_path(&self) -> u32 {
         let primitives = self.sphere_count + self.rect_count;
-        let lights = self.sphere_light_count + self.rect_light_count;
+        let lights = self.sampled_lights();
         let queries = if self.estimator == Estimator::Nee { 2 * primitives + lights } else { primitives };
         (self.bounces + 2) * (1 + queries)
+    }
+
+    fn sampled_lights(&self) -> u32 {
+        let map = u32::from(self.environment == 2);
+        self.sphere_light_count + self.rect_light_count + self.point_count + map
     }
 
     /// What this scene does not need and the pipelines therefore do not have, in words.
@@ -205,7 +240,7 @@ impl Features {
                 list.push(text.to_owned());
             }
         };
-        let lights = self.sphere_light_count + self.rect_light_count;
+        let lights = self.sampled_lights();
         let free = (0..self.rect_count).filter(|i| self.preload && self.rect_blockers >> i & 1 == 0).count();
         let aligned = (0..self.rect_count).filter(|i| self.preload && self.rect_axes >> (2 * i) & 3 != 0).count();
         skip(self.sphere_count == 0, "sphere intersection");
@@ -217,6 +252,11 @@ impl Features {
         skip(lights < 2 && self.estimator == Estimator::Nee, "choice among lights");
         skip(self.estimator != Estimator::Nee, "light sampling and shadow rays");
         skip(!self.checkers, "checkerboards");
+        skip(!self.bitmaps, "pictures on surfaces");
+        skip(self.materials == 0, "all materials but diffuse ones");
+        skip(!self.two_sided, "reflection on backs");
+        skip(self.point_count == 0, "point lights");
+        skip(self.environment == 0, "the environment");
         skip(!self.camera_inside, "far sides of outward spheres");
         skip(self.preload, "primitive loops (all primitives in registers)");
         skip(!self.aa, "a camera ray for every sample (one first hit a pixel)");
@@ -234,6 +274,19 @@ impl Features {
         list
     }
 }
+
+/// Kinds of materials as the shader counts them (glsl/lib/bsdf.glsl).
+pub(super) fn material_kind(bsdf: &Bsdf) -> u32 {
+    match bsdf {
+        Bsdf::Diffuse => 0,
+        Bsdf::Conductor { roughness: None, .. } => 1,
+        Bsdf::Conductor { roughness: Some(_), .. } => 2,
+        Bsdf::Dielectric { .. } => 3,
+        Bsdf::Plastic { .. } => 4,
+    }
+}
+
+const ALL_MATERIALS: u32 = 0b11110;
 
 /// A rectangle or a disk?
 pub(super) fn is_flat(shape: &Shape) -> bool {
@@ -273,14 +326,18 @@ pub(super) fn axis_of(geometry: &Geometry) -> u32 {
     }
 }
 
-/// A rectangle or disk that has the whole scene on one side of its plane never comes between two surfaces.
-fn can_block(flat: &Shape, shapes: &[&Shape], tolerance: f64) -> bool {
+/// A rectangle or disk that has the whole scene, lights included, on one side of its plane never comes between a surface and a light.
+fn can_block(flat: &Shape, scene: &Scene, tolerance: f64) -> bool {
     let (Geometry::Rectangle { center, half_u, half_v } | Geometry::Disk { center, half_u, half_v }) = flat.geometry
     else {
         return true;
     };
+    if matches!(scene.environment, Some(Environment::Map(_))) {
+        return true;
+    }
     let normal = half_u.cross(half_v).normalize();
-    let spans = shapes.iter().map(|shape| shape.geometry.span(center, normal));
-    let (low, high) = spans.fold((0.0f64, 0.0f64), |(low, high), (a, b)| (low.min(a), high.max(b)));
+    let shapes = scene.shapes.iter().map(|shape| shape.geometry.span(center, normal));
+    let points = scene.points.iter().map(|point| (point.position - center).dot(normal)).map(|d| (d, d));
+    let (low, high) = shapes.chain(points).fold((0.0f64, 0.0f64), |(low, high), (a, b)| (low.min(a), high.max(b)));
     low < -tolerance && high > tolerance
 }

@@ -1,21 +1,29 @@
 //! The scene as the shaders read it: checked, recentred and scaled in f64, then rows of four f32.
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
-use super::features::{axis_of, emits, is_disk, is_flat, is_inward};
-use crate::Result;
-use crate::scene::{Checker, Geometry, Scene, Shape};
+use super::environment;
+use super::features::{axis_of, emits, is_disk, is_flat, is_inward, material_kind};
+use crate::scene::{Bitmap, Bsdf, Checker, Environment, Geometry, Picture, Scene, Shape, Texture};
+use crate::{Error, Result};
 
-/// Rows of the camera before the first primitive.
-const CAMERA_ROWS: usize = 4;
-/// Rows of one primitive (glsl/path_trace.comp names them).
-const PRIMITIVE_ROWS: usize = 12;
+/// Rows of the camera and of the environment before the first primitive.
+const CAMERA_ROWS: usize = 8;
+/// The first row of the environment.
+const ENVIRONMENT_ROW: usize = 4;
+/// Rows of one primitive (glsl/lib/scene.glsl names them).
+const PRIMITIVE_ROWS: usize = 16;
 /// The row of the first primitive's radiance.
 pub(super) const FIRST_RADIANCE: usize = CAMERA_ROWS + 2;
-/// Rows before those of the checkerboard.
-const CHECKER_ROW: usize = 10;
+/// Rows before those of the texture, and before those of the material.
+const TEXTURE_ROW: usize = 10;
+const MATERIAL_ROW: usize = 12;
+const BITMAP_ROW: usize = 15;
+/// Rows are numbered by floats.
+const MAX_ROWS: usize = 1 << 24;
 
 /// Where the scene is and how large: its centre becomes the origin and `scale`, a power of two, brings its half extent into [1, 2).
 /// A power of two changes no bit of a mantissa, so scenes that differ by one give the same image.
@@ -72,30 +80,80 @@ pub(super) fn pack(scene: &Scene, window: Option<FilmWindow>) -> Result<Vec<[f32
     let extent = frame.half_extent * frame.scale;
     let offset = 2e-5 * extent;
     let order = order(scene);
-    let mut rows = Vec::with_capacity(CAMERA_ROWS + PRIMITIVE_ROWS * order.len().max(1));
+    let mut rows = Vec::with_capacity(CAMERA_ROWS + PRIMITIVE_ROWS * (order.len() + scene.points.len()).max(1));
     pack_camera(scene, window, &frame, offset, &mut rows);
-    let power: Vec<f64> =
-        order.iter().map(|&i| if sampled(&scene.shapes[i]) { power(&scene.shapes[i]) } else { 0.0 }).collect();
-    let total: f64 = power.iter().sum();
-    let last_light = power.iter().rposition(|&p| p > 0.0);
+    rows.resize(CAMERA_ROWS, [0.0; 4]);
+    let shares = light_shares(scene, &order, frame.half_extent);
+    for (&i, &upper) in order.iter().zip(&shares) {
+        pack_shape(&scene.shapes[i], &frame, offset, extent, upper, &mut rows);
+    }
+    for (point, &upper) in scene.points.iter().zip(&shares[order.len()..]) {
+        let begin = rows.len();
+        rows.push(row((point.position - frame.center) * frame.scale, 0.0));
+        rows.push([0.0; 4]);
+        // Distances are scaled, and intensity falls with their square.
+        rows.push(row(point.intensity * frame.scale * frame.scale, upper));
+        rows.resize(begin + PRIMITIVE_ROWS, [0.0; 4]);
+    }
+    rows.resize(rows.len().max(CAMERA_ROWS + PRIMITIVE_ROWS), [0.0; 4]);
+    pack_bitmaps(scene, &order, &mut rows);
+    if let Some(environment) = &scene.environment {
+        let share = 1.0 - shares.last().copied().unwrap_or(0.0);
+        let header = environment::pack(environment, share, &mut rows);
+        rows[ENVIRONMENT_ROW..CAMERA_ROWS].copy_from_slice(&header);
+    }
+    if rows.len() > MAX_ROWS {
+        return Err(Error::input(format!(
+            "textures and environment map need {} rows of 16 bytes, at most {MAX_ROWS} can be had: make them smaller",
+            rows.len()
+        )));
+    }
+    Ok(rows)
+}
+
+/// Where the share of each shape, in the order of the buffers, and then of each point ends in the choice of lights, by power; what is
+/// left to 1 belongs to the environment's map.
+fn light_shares(scene: &Scene, order: &[usize], half_extent: f64) -> Vec<f64> {
+    let shapes = order.iter().map(|&i| if sampled(&scene.shapes[i]) { power(&scene.shapes[i]) } else { 0.0 });
+    let powers: Vec<f64> = shapes.chain(scene.points.iter().map(|point| 4.0 * point.intensity.element_sum())).collect();
+    let map = match &scene.environment {
+        Some(Environment::Map(map)) => 4.0 * PI * half_extent * half_extent * environment::mean(map).element_sum(),
+        _ => 0.0,
+    };
+    let total = powers.iter().sum::<f64>() + map;
+    let last = powers.iter().rposition(|&power| power > 0.0);
     let mut below = 0.0;
-    for (k, &i) in order.iter().enumerate() {
-        let shape = &scene.shapes[i];
-        below += power[k];
+    let shares = powers.iter().enumerate().map(|(k, power)| {
+        below += power;
         // The last light's share ends at 1 whatever the rounding.
-        let upper = if Some(k) == last_light {
+        if Some(k) >= last && last.is_some() && map == 0.0 {
             1.0
         } else if total > 0.0 {
             below / total
         } else {
             0.0
-        };
-        pack_shape(shape, &frame, offset, extent, upper, &mut rows);
+        }
+    });
+    shares.collect()
+}
+
+/// The texels of each picture once, and in the rows of the shapes where they are.
+fn pack_bitmaps(scene: &Scene, order: &[usize], rows: &mut Vec<[f32; 4]>) {
+    let mut packed: Vec<(*const Picture, usize)> = Vec::new();
+    for (k, &i) in order.iter().enumerate() {
+        let Some(Texture::Bitmap(bitmap)) = &scene.shapes[i].texture else { continue };
+        let key = Arc::as_ptr(&bitmap.picture);
+        let first = packed.iter().find(|(picture, _)| *picture == key).map(|(_, first)| *first);
+        let first = first.unwrap_or_else(|| {
+            let first = rows.len();
+            rows.extend(bitmap.picture.texels.iter().map(|&[r, g, b]| [r, g, b, 0.0]));
+            packed.push((key, first));
+            first
+        });
+        let flags = bitmap.wrap as u32 + 4 * bitmap.filter as u32;
+        rows[CAMERA_ROWS + PRIMITIVE_ROWS * k + BITMAP_ROW] =
+            [first as f32, bitmap.picture.width as f32, bitmap.picture.height as f32, flags as f32];
     }
-    if order.is_empty() {
-        rows.resize(CAMERA_ROWS + PRIMITIVE_ROWS, [0.0; 4]);
-    }
-    Ok(rows)
 }
 
 /// Is this a light that is sampled directly? Inward lights surround their receivers and are left to the bounces.
@@ -161,12 +219,63 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
             push_plane([u, v], 0, [1.0; 2], [inner; 2], rows);
         }
     }
-    rows.resize(begin + CHECKER_ROW, [0.0; 4]);
-    if let Some(Checker { albedo, repeats, offset }) = shape.checker {
-        rows.push(row(albedo, 1.0));
-        rows.push([repeats.x, repeats.y, offset.x, offset.y].map(|v| v as f32));
+    rows.resize(begin + TEXTURE_ROW, [0.0; 4]);
+    match &shape.texture {
+        None => {}
+        Some(Texture::Checker(Checker { albedo, repeats, offset })) => {
+            rows.push(row(*albedo, 1.0));
+            rows.push([repeats.x, repeats.y, offset.x, offset.y].map(|v| v as f32));
+        }
+        Some(Texture::Bitmap(Bitmap { matrix, offset, .. })) => {
+            rows.push([matrix.x_axis.x, matrix.y_axis.x, offset.x, 2.0].map(|v| v as f32));
+            rows.push([matrix.x_axis.y, matrix.y_axis.y, offset.y, 0.0].map(|v| v as f32));
+        }
     }
+    rows.resize(begin + MATERIAL_ROW, [0.0; 4]);
+    pack_material(shape, rows);
     rows.resize(begin + PRIMITIVE_ROWS, [0.0; 4]);
+}
+
+/// See MATERIAL in glsl/lib/scene.glsl.
+fn pack_material(shape: &Shape, rows: &mut Vec<[f32; 4]>) {
+    let (kind, two_sided) = (material_kind(&shape.bsdf) as f32, f32::from(u8::from(shape.two_sided)));
+    let head = |roughness: f64, ior: f64| [kind, roughness as f32, ior as f32, two_sided];
+    match shape.bsdf {
+        Bsdf::Diffuse => rows.push(head(0.0, 1.0)),
+        Bsdf::Conductor { eta, k, roughness } => {
+            rows.extend([head(roughness.unwrap_or(0.0), 1.0), row(eta, 0.0), row(k, 0.0)]);
+        }
+        Bsdf::Dielectric { ior, transmittance } => {
+            rows.extend([head(0.0, ior), row(shape.albedo, 0.0), row(transmittance, 0.0)]);
+        }
+        Bsdf::Plastic { ior, specular, nonlinear } => {
+            // The choice of lobes by the means of their reflectances, as Mitsuba's.
+            let base = match &shape.texture {
+                Some(Texture::Bitmap(bitmap)) => bitmap.picture.mean(),
+                Some(Texture::Checker(checker)) => 0.5 * (shape.albedo + checker.albedo),
+                None => shape.albedo,
+            };
+            let (base, coating) = (base.element_sum(), specular.element_sum());
+            let share = if base + coating > 0.0 { coating / (base + coating) } else { 0.5 };
+            rows.extend([
+                head(0.0, ior),
+                row(specular, diffuse_reflectance(1.0 / ior)),
+                [share as f32, f32::from(u8::from(nonlinear)), 0.0, 0.0],
+            ]);
+        }
+    }
+}
+
+/// Part of diffuse light that a dielectric surface reflects, by the index of refraction beyond over that before it: fits by Egan and
+/// Hilgeman (1973) below 1 and d'Eon and Irving (2011) above, as Mitsuba's.
+fn diffuse_reflectance(eta: f64) -> f64 {
+    let inverse = 1.0 / eta;
+    if eta < 1.0 {
+        0.0636 * inverse + (eta * (eta * -1.4399 + 0.7099) + 0.6681)
+    } else {
+        let fit = [-1.36881, 4.98554, -7.80989, 6.75335, -3.4793, 0.919317];
+        fit.into_iter().fold(0.0, |sum, c| sum * inverse + c)
+    }
 }
 
 /// The rows of a plane from its normal on: `axis` as [`axis_of`] gives it, `test` is how far a hit may be from the centre, `inner` how far it is left, in

@@ -103,12 +103,18 @@ impl Settings {
         if self.bounces > Self::MAX_BOUNCES {
             return Err(Error::input(format!("{} bounces: at most {}", self.bounces, Self::MAX_BOUNCES)));
         }
+        if !scene.points.is_empty() && self.estimator != Estimator::Nee {
+            return Err(Error::input(format!(
+                "the estimator {} meets lights by chance, and nothing meets a point light: use nee",
+                self.estimator.name()
+            )));
+        }
         self.check_variance(scene)
     }
 
     /// Refuses variance where squares of radiance leave the range of f32: it would come out infinite, or 0 where there is noise.
     fn check_variance(&self, scene: &Scene) -> Result<()> {
-        let largest = scene.shapes.iter().map(|shape| shape.radiance.max_element()).fold(0.0, f64::max);
+        let largest = scene.max_radiance();
         if self.batch_size() == 0 || largest == 0.0 || (1e-15..=1e15).contains(&largest) {
             return Ok(());
         }

@@ -7,7 +7,7 @@
 //! The box, its colours, the field of view and the camera's base are those of the canonical frame ([`canonical`]).
 
 use super::math::{positive_zero, sin_cos_degrees};
-use super::{Camera, Geometry, Scene, Shape, mitsuba};
+use super::{Bsdf, Camera, Geometry, Scene, Shape, mitsuba};
 use glam::{DMat3, DMat4, DVec3};
 use std::ops::RangeInclusive;
 
@@ -114,7 +114,9 @@ impl Member {
                 name: SPHERE_NAMES[i].to_owned(),
                 geometry: Geometry::Sphere { center: path.center(t), radius: path.radius, inward: false },
                 albedo: self.albedos[i],
-                checker: None,
+                texture: None,
+                bsdf: Bsdf::Diffuse,
+                two_sided: false,
                 radiance: DVec3::splat(radiance),
             });
         }

@@ -1,7 +1,7 @@
 //! A short fingerprint of a scene.
 
 use super::math::positive_zero;
-use super::{Geometry, Scene};
+use super::{Bsdf, Environment, Geometry, Picture, Scene, Shape, Texture};
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
@@ -38,14 +38,73 @@ impl Scene {
                 }
             }
             vectors(&mut state, &[shape.albedo, shape.radiance]);
-            if let Some(checker) = shape.checker {
-                state.update(b"c");
-                vectors(&mut state, &[checker.albedo]);
-                numbers(&mut state, &[checker.repeats.to_array(), checker.offset.to_array()].concat());
+            material(&mut state, shape);
+        }
+        for point in &self.points {
+            state.update(b"point");
+            vectors(&mut state, &[point.position, point.intensity]);
+        }
+        match &self.environment {
+            None => {}
+            Some(Environment::Constant(radiance)) => {
+                state.update(b"constant");
+                vectors(&mut state, &[*radiance]);
+            }
+            Some(Environment::Map(map)) => {
+                state.update(b"map");
+                numbers(&mut state, &[map.scale]);
+                numbers(&mut state, &map.to_world.to_cols_array());
+                picture(&mut state, &map.picture);
             }
         }
         state.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect()
     }
+}
+
+/// A plain diffuse surface adds nothing.
+fn material(state: &mut Sha256, shape: &Shape) {
+    match &shape.texture {
+        None => {}
+        Some(Texture::Checker(checker)) => {
+            state.update(b"c");
+            vectors(state, &[checker.albedo]);
+            numbers(state, &[checker.repeats.to_array(), checker.offset.to_array()].concat());
+        }
+        Some(Texture::Bitmap(bitmap)) => {
+            state.update(b"bitmap");
+            state.update([bitmap.wrap as u8, bitmap.filter as u8]);
+            numbers(state, &bitmap.matrix.to_cols_array());
+            numbers(state, &bitmap.offset.to_array());
+            picture(state, &bitmap.picture);
+        }
+    }
+    match shape.bsdf {
+        Bsdf::Diffuse => {}
+        Bsdf::Conductor { eta, k, roughness } => {
+            state.update(b"conductor");
+            vectors(state, &[eta, k]);
+            numbers(state, &[roughness.unwrap_or(0.0)]);
+        }
+        Bsdf::Dielectric { ior, transmittance } => {
+            state.update(b"dielectric");
+            numbers(state, &[ior]);
+            vectors(state, &[transmittance]);
+        }
+        Bsdf::Plastic { ior, specular, nonlinear } => {
+            state.update(b"plastic");
+            numbers(state, &[ior, f64::from(u8::from(nonlinear))]);
+            vectors(state, &[specular]);
+        }
+    }
+    if shape.two_sided {
+        state.update(b"two-sided");
+    }
+}
+
+fn picture(state: &mut Sha256, picture: &Picture) {
+    state.update(picture.width.to_le_bytes());
+    state.update(picture.height.to_le_bytes());
+    picture.texels.iter().flatten().for_each(|v| state.update(v.to_bits().to_le_bytes()));
 }
 
 fn vectors(state: &mut Sha256, vectors: &[DVec3]) {

@@ -3,15 +3,19 @@
 mod camera;
 pub mod family;
 mod hash;
+mod light;
+mod material;
 pub mod math;
 pub mod mitsuba;
 pub mod rooms;
 mod spec;
 pub mod validate;
 
+pub use light::{Environment, EnvironmentMap, PointLight};
+pub use material::{Bitmap, Bsdf, Checker, Filter, IOR_RANGE, MIN_ROUGHNESS, Picture, Texture, Wrap};
 pub use spec::{Loaded, Spec};
 
-use glam::{DMat4, DVec2, DVec3, Vec2Swizzles};
+use glam::{DMat4, DVec3};
 use std::f64::consts::PI;
 
 /// What makes a camera blur what is not in focus.
@@ -107,49 +111,40 @@ impl Geometry {
     }
 }
 
-/// A checkerboard in the surface's parameters (u, v), as Mitsuba's `checkerboard` texture: the cell of (u, v) follows from
-/// `uv = repeats * (u, v) + offset`; where both or neither of the fractions of uv are above 1/2 lies the first reflectance, elsewhere the
-/// second. On a rectangle u and v run from 0 to 1 along `half_u` and `half_v`; on a sphere u is the longitude about z from x, as
-/// part of a turn, and v the angle from z as part of half a turn. On a disk u is the distance from the centre as part of the
-/// radius, and v the angle from `half_u` toward `half_v` as part of a turn.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Checker {
-    /// The second reflectance, linear RGB, each in [0, 1]; [`Shape::albedo`] is the first.
-    pub albedo: DVec3,
-    /// Pairs of cells along u and v.
-    pub repeats: DVec2,
-    /// Shift of the cells, in pairs.
-    pub offset: DVec2,
-}
-
-impl Checker {
-    /// The same cells where u and v change places.
-    #[must_use]
-    pub fn swapped(self) -> Self {
-        Self { repeats: self.repeats.yx(), offset: self.offset.yx(), ..self }
-    }
-
-    /// The same cells where v runs the other way.
-    #[must_use]
-    pub fn mirrored(self) -> Self {
-        let DVec2 { x, y } = self.repeats;
-        Self { repeats: DVec2::new(x, -y), offset: self.offset + DVec2::new(0.0, y), ..self }
-    }
-}
-
-/// A shape with its diffuse material and, for a light, its emission.
+/// A shape with its material and, for a light, its emission.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
     /// Name for messages.
     pub name: String,
     /// Where it is.
     pub geometry: Geometry,
-    /// Lambertian reflectance, linear RGB, each in [0, 1].
+    /// Reflectance, linear RGB, each in [0, 1]; what of it is reflected how, `bsdf` says.
     pub albedo: DVec3,
-    /// A second reflectance in a checkerboard; none where the surface has one colour.
-    pub checker: Option<Checker>,
+    /// Where the reflectance varies over the surface.
+    pub texture: Option<Texture>,
+    /// How it scatters light.
+    pub bsdf: Bsdf,
+    /// The back scatters as the front does (Mitsuba's `twosided`); it does not emit.
+    pub two_sided: bool,
     /// Emitted radiance, linear RGB, each >= 0 and finite; zero for what is no light.
     pub radiance: DVec3,
+}
+
+impl Shape {
+    /// Its checkerboard, where its texture is one.
+    #[must_use]
+    pub fn checker(&self) -> Option<Checker> {
+        match self.texture {
+            Some(Texture::Checker(checker)) => Some(checker),
+            _ => None,
+        }
+    }
+
+    /// Whether light that falls on it from the front may be scattered at all.
+    #[must_use]
+    pub fn scatters(&self) -> bool {
+        !matches!(self.bsdf, Bsdf::Diffuse) || self.texture.is_some() || self.albedo != DVec3::ZERO
+    }
 }
 
 /// Everything a render needs to know of the world.
@@ -159,6 +154,26 @@ pub struct Scene {
     pub camera: Camera,
     /// All shapes, lights included.
     pub shapes: Vec<Shape>,
+    /// Lights without a surface.
+    pub points: Vec<PointLight>,
+    /// What surrounds everything; none is black.
+    pub environment: Option<Environment>,
+}
+
+impl Scene {
+    /// A scene without points that emit, in the dark.
+    #[must_use]
+    pub fn new(camera: Camera, shapes: Vec<Shape>) -> Self {
+        Self { camera, shapes, points: Vec::new(), environment: None }
+    }
+
+    /// The largest radiance or intensity of any light.
+    #[must_use]
+    pub fn max_radiance(&self) -> f64 {
+        let shapes = self.shapes.iter().map(|shape| shape.radiance.max_element());
+        let points = self.points.iter().map(|point| point.intensity.max_element());
+        shapes.chain(points).chain(self.environment.as_ref().map(Environment::max_radiance)).fold(0.0, f64::max)
+    }
 }
 
 /// A half line in world space.

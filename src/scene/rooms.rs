@@ -7,7 +7,7 @@
 use super::camera::look_at_matrix;
 use super::family::{between, uniform_of};
 use super::math::sin_cos_degrees;
-use super::{Camera, Checker, Geometry, Scene, Shape};
+use super::{Bsdf, Camera, Checker, Geometry, Scene, Shape, Texture};
 use glam::{DVec2, DVec3};
 
 /// The version of the family; it changes whenever any scene of it does.
@@ -102,7 +102,7 @@ pub fn rooms(n: u64) -> Scene {
     for i in 0..kind.sphere_lights {
         shapes.push(sphere_light(&mut draws, &mut placed, level, largest, i));
     }
-    Scene { camera, shapes }
+    Scene::new(camera, shapes)
 }
 
 /// The largest sphere of so many: all of them fill about the same part of the room.
@@ -141,7 +141,9 @@ fn walls(draws: &mut Draws, half: DVec3, patterns: bool) -> Vec<Shape> {
             name: name.to_owned(),
             geometry: Geometry::Rectangle { center, half_u, half_v },
             albedo: if own { color } else { shared },
-            checker: pattern(draws, patterns, 12.0),
+            texture: pattern(draws, patterns, 12.0).map(Texture::Checker),
+            bsdf: Bsdf::Diffuse,
+            two_sided: false,
             radiance: DVec3::ZERO,
         }
     };
@@ -167,7 +169,8 @@ fn pattern(draws: &mut Draws, patterns: bool, most: f64) -> Option<Checker> {
 fn sphere(draws: &mut Draws, name: String, (center, radius): (DVec3, f64), patterns: bool) -> Shape {
     let geometry = Geometry::Sphere { center, radius, inward: false };
     let albedo = draws.color(0.03, 0.9);
-    Shape { name, geometry, albedo, checker: pattern(draws, patterns, 6.0), radiance: DVec3::ZERO }
+    let texture = pattern(draws, patterns, 6.0).map(Texture::Checker);
+    Shape { name, geometry, albedo, texture, bsdf: Bsdf::Diffuse, two_sided: false, radiance: DVec3::ZERO }
 }
 
 /// White or coloured, of luminance about 1.
@@ -191,7 +194,9 @@ fn sphere_light(draws: &mut Draws, placed: &mut Placed, level: f64, largest: f64
         name,
         geometry: Geometry::Sphere { center, radius, inward: false },
         albedo: DVec3::ZERO,
-        checker: None,
+        texture: None,
+        bsdf: Bsdf::Diffuse,
+        two_sided: false,
         radiance,
     }
 }
@@ -208,7 +213,9 @@ fn ceiling_light(draws: &mut Draws, half: DVec3, level: f64, i: usize) -> Shape 
         name: format!("panel-{}", i + 1),
         geometry: Geometry::Rectangle { center, half_u: DVec3::X * a, half_v: DVec3::Z * b },
         albedo: DVec3::ZERO,
-        checker: None,
+        texture: None,
+        bsdf: Bsdf::Diffuse,
+        two_sided: false,
         radiance,
     }
 }

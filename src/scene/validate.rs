@@ -1,6 +1,6 @@
 //! What a scene must fulfil before anything is rendered.
 
-use super::{Camera, Checker, Geometry, Lens, Scene, Shape};
+use super::{Camera, Environment, Geometry, Lens, Scene, Shape, Texture};
 pub use crate::image::{MAX_PIXELS, MAX_SIDE, check_size};
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
@@ -24,7 +24,11 @@ impl Scene {
         self.camera.validate()?;
         self.shapes.iter().enumerate().try_for_each(|(i, shape)| {
             shape.validate().map_err(|error| Error::input(format!("shape {} '{}': {error}", i + 1, shape.name)))
-        })
+        })?;
+        self.points.iter().try_for_each(|point| {
+            point.validate().map_err(|error| Error::input(format!("point light '{}': {error}", point.name)))
+        })?;
+        self.environment.as_ref().map_or(Ok(()), Environment::validate)
     }
 }
 
@@ -77,20 +81,9 @@ impl Shape {
             Geometry::Disk { center, half_u, half_v } => check_plane("disk", center, [half_u, half_v])?,
         }
         check_albedo(self.albedo)?;
-        self.checker.map_or(Ok(()), Checker::validate)?;
+        self.texture.as_ref().map_or(Ok(()), Texture::validate)?;
+        self.bsdf.validate()?;
         check_radiance(self.radiance)
-    }
-}
-
-impl Checker {
-    /// Refuses a checkerboard that cannot be rendered; see [`Scene::validate`].
-    pub(super) fn validate(self) -> Result<()> {
-        check_albedo(self.albedo)?;
-        let numbers = [self.repeats.to_array(), self.offset.to_array()].concat();
-        if numbers.iter().all(|v| v.abs() <= MAX_REPEATS) {
-            return Ok(());
-        }
-        Err(Error::input(format!("checkerboard: to_uv scales and shifts by {numbers:?}; at most {MAX_REPEATS:e} each")))
     }
 }
 
@@ -129,7 +122,7 @@ pub(super) fn check_radiance(radiance: DVec3) -> Result<()> {
     Err(Error::input(format!("radiance {radiance:?}; each part must lie in [0, {MAX_RADIANCE:e}]")))
 }
 
-fn check_point(what: &str, p: DVec3) -> Result<()> {
+pub(super) fn check_point(what: &str, p: DVec3) -> Result<()> {
     if p.to_array().iter().all(|c| c.abs() <= MAX_LENGTH) {
         return Ok(());
     }

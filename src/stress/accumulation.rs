@@ -154,7 +154,7 @@ fn not_a_number(gpu: &Gpu) -> Result<Outcome> {
     };
     for value in BAD {
         // A wall that shines on itself: every sample is bad, from its first hit on.
-        let room = Scene { camera: look(DVec3::ZERO, DVec3::X, 60.0, 24, 16), shapes: vec![cavity(1.0, 0.5, 1.0)] };
+        let room = Scene::new(look(DVec3::ZERO, DVec3::X, 60.0, 24, 16), vec![cavity(1.0, 0.5, 1.0)]);
         for aa in [false, true] {
             let s = Settings { aa, ..settings(20, 3, (Estimator::Cosine, Sampler::Sobol)) };
             check(&room, &s, value, 24 * 16 * 20, format!("{value} everywhere, aa {aa}"))?;
@@ -177,8 +177,7 @@ fn many_samples(gpu: &Gpu) -> Result<Outcome> {
     let mut checks = Checks::default();
     let (radiance, albedo) = (0.7, 0.37);
     let shapes = vec![cavity(1.0, albedo, radiance), sphere([0.3, 0.1, 0.0], 0.25, albedo, radiance)];
-    let room =
-        |size| Scene { camera: look(DVec3::new(-0.5, 0.0, 0.2), DVec3::X, 80.0, size, size), shapes: shapes.clone() };
+    let room = |size| Scene::new(look(DVec3::new(-0.5, 0.0, 0.2), DVec3::X, 80.0, size, size), shapes.clone());
     for (spp, size, bounces, chunk) in [(16_384, 16, 8, 64), (16_384, 16, 2, 7), (1 << 20, 8, 1, 64)] {
         let choice = (Estimator::Cosine, Sampler::Sobol);
         // What one sample gives in f32: its own roundings are not the sum's.
@@ -213,7 +212,7 @@ fn heavy_tail(gpu: &Gpu) -> Result<Outcome> {
         let half = 0.05;
         shapes.push(rectangle(DVec3::new(0.1, 0.95, 0.1), DVec3::X * half, DVec3::Z * half, 0.0, f64::from(bright)));
         // Down to the floor: the camera does not see the rectangle.
-        Scene { camera: look(DVec3::new(0.0, 0.5, 0.0), DVec3::NEG_Y, 60.0, 16, 16), shapes }
+        Scene::new(look(DVec3::new(0.0, 0.5, 0.0), DVec3::NEG_Y, 60.0, 16, 16), shapes)
     };
     for sampler in Sampler::ALL {
         let settings = settings(spp, 1, (Estimator::Cosine, sampler));

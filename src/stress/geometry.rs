@@ -63,7 +63,7 @@ fn self_hits_and_leaks(gpu: &Gpu) -> Result<Outcome> {
         ] {
             // The surface fills the frame: as many rays leave it as there are samples.
             let narrow = if name == "far sphere" { 0.1 } else { 20.0 };
-            let scene = Scene { camera: look(eye, DVec3::ZERO, narrow, 256, 256), shapes };
+            let scene = Scene::new(look(eye, DVec3::ZERO, narrow, 256, 256), shapes);
             let mut renderer = Renderer::new(gpu, &placed(scene, scale, DVec3::ZERO), &settings(16, 4, COSINE))?;
             renderer.limit_chunk(16);
             renderer.finish()?;
@@ -82,7 +82,7 @@ fn self_hits_and_leaks(gpu: &Gpu) -> Result<Outcome> {
         ] {
             let shapes = turned(shapes, turn);
             let camera = look(turn * DVec3::new(0.1, 0.0, 0.9), turn * DVec3::NEG_Z, 90.0, 1024, 1024);
-            let scene = placed(Scene { camera, shapes }, scale, DVec3::ZERO);
+            let scene = placed(Scene::new(camera, shapes), scale, DVec3::ZERO);
             // One reflection: a ray that meets no emitter has escaped.
             let image = render(gpu, &scene, &settings(1, 1, COSINE))?;
             let wrong = wrong_paths(&image, furnace_exact(1.0, 0.5, 1));
@@ -130,7 +130,7 @@ pub(super) fn axis_parallel(gpu: &Gpu) -> Result<Outcome> {
             // 0 come out as 1e-17 here.
             let within = |d: DVec3| (0..3).all(|k| eye[k].abs() < 1.0 || d[k] * eye[k] < 1e-12);
             let inside: Vec<bool> = pixels.map(within).collect();
-            let scene = Scene { camera, shapes: closed_box(0.5, 1.0) };
+            let scene = Scene::new(camera, closed_box(0.5, 1.0));
             let image = render(gpu, &scene, &settings(1, 8, COSINE))?;
             let expected = furnace_exact(1.0, 0.5, 8);
             let values = channel(&image, "R").into_iter().zip(&inside).filter(|(_, inside)| **inside);

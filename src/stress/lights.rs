@@ -45,7 +45,7 @@ fn patch_scene(degrees: f64, s: f64) -> Scene {
     let patch = rectangle(DVec3::ZERO, DVec3::Z * half, DVec3::X * half, 0.8, 0.0);
     let light = sphere([sin, cos, 0.0], s, 0.0, 1.0 / (s * s));
     let camera = look(DVec3::new(-0.5e-4, 1e-4, 0.2e-4), DVec3::ZERO, 10.0, 24, 24);
-    Scene { camera, shapes: vec![patch, light] }
+    Scene::new(camera, vec![patch, light])
 }
 
 /// The factor that [`patch_scene`] has.

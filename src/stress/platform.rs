@@ -52,7 +52,7 @@ fn loops(gpu: &Gpu) -> Result<Outcome> {
     // 64 samples of 1,025 rays each take more iterations than llvmpipe has, even where it unrolls the loops over shapes: in one
     // dispatch the last of them would be lost.
     let camera = look(glam::DVec3::ZERO, glam::DVec3::NEG_Z, 60.0, 8, 8);
-    let scene = crate::scene::Scene { camera, shapes: closed_box(0.5, 1.0) };
+    let scene = crate::scene::Scene::new(camera, closed_box(0.5, 1.0));
     let (spp, bounces) = (64, Settings::MAX_BOUNCES);
     let settings = Settings { aa: true, ..settings(spp, bounces, (Estimator::Cosine, Sampler::Pcg)) };
     let image = render(gpu, &scene, &settings)?;

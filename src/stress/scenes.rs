@@ -78,7 +78,7 @@ fn strange_scenes(gpu: &Gpu, checks: &mut Checks) -> Result<()> {
         ("white", vec![sphere([0.0; 3], 0.5, 1.0, 1.0), floor()]),
     ];
     for (name, shapes) in scenes {
-        let scene = Scene { camera: camera.clone(), shapes };
+        let scene = Scene::new(camera.clone(), shapes);
         for estimator in Estimator::ALL {
             for aa in [false, true] {
                 let image = render(gpu, &scene, &Settings { spp: 4, estimator, aa, ..Settings::default() })?;

@@ -6,7 +6,7 @@ use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::metrics::different_values;
 use crate::render::{Estimator, Renderer, Sampler, Settings};
-use crate::scene::{Camera, Geometry, Scene, Shape, family};
+use crate::scene::{Bsdf, Camera, Geometry, Scene, Shape, family};
 use crate::{Error, Result};
 use glam::{DMat4, DVec3};
 
@@ -46,7 +46,9 @@ pub fn sphere(center: [f64; 3], radius: f64, albedo: f64, radiance: f64) -> Shap
         name: "sphere".into(),
         geometry: Geometry::Sphere { center: center.into(), radius, inward: false },
         albedo: DVec3::splat(albedo),
-        checker: None,
+        texture: None,
+        bsdf: Bsdf::Diffuse,
+        two_sided: false,
         radiance: DVec3::splat(radiance),
     }
 }

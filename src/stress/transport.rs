@@ -65,7 +65,7 @@ pub(super) fn furnace(radiance: f64, albedo: f64, size: u32) -> Scene {
     ] {
         shapes.push(sphere(c, r, albedo, radiance));
     }
-    Scene { camera: look(DVec3::new(0.1, 0.0, 0.9), DVec3::new(0.0, 0.0, -1.0), 90.0, size, size), shapes }
+    Scene::new(look(DVec3::new(0.1, 0.0, 0.9), DVec3::new(0.0, 0.0, -1.0), 90.0, size, size), shapes)
 }
 
 /// Every path of the cosine estimator returns the same sum, so a single wrong path shows in its pixel.
@@ -109,7 +109,7 @@ fn furnace_case(gpu: &Gpu) -> Result<Outcome> {
 
 fn furnace_in_a_sphere(gpu: &Gpu, checks: &mut Checks) -> Result<()> {
     let shapes = vec![cavity(1.0, 0.7, 2.0), sphere([0.3, 0.1, 0.0], 0.25, 0.7, 2.0)];
-    let scene = Scene { camera: look(DVec3::new(-0.5, 0.0, 0.2), DVec3::X, 80.0, 256, 256), shapes };
+    let scene = Scene::new(look(DVec3::new(-0.5, 0.0, 0.2), DVec3::X, 80.0, 256, 256), shapes);
     for bounces in [0, 1, 8] {
         let image = render(gpu, &scene, &settings(1, bounces, (Estimator::Cosine, Sampler::Pcg)))?;
         let wrong = wrong_paths(&image, furnace_exact(2.0, 0.7, bounces as i32));
@@ -122,7 +122,7 @@ fn furnace_in_a_sphere(gpu: &Gpu, checks: &mut Checks) -> Result<()> {
 fn concentric_spheres(gpu: &Gpu) -> Result<Outcome> {
     let mut checks = Checks::default();
     let shapes = vec![cavity(1.0, 0.8, 0.0), sphere([0.0; 3], 0.3, 0.0, 5.0)];
-    let scene = Scene { camera: look(DVec3::new(0.7, 0.0, 0.0), DVec3::new(0.6, 0.5, 1.0), 70.0, 96, 96), shapes };
+    let scene = Scene::new(look(DVec3::new(0.7, 0.0, 0.0), DVec3::new(0.6, 0.5, 1.0), 70.0, 96, 96), shapes);
     for choice in techniques() {
         for (bounces, expected) in [(1, 0.36000), (2, 0.62208), (4, 0.95177), (8, 1.21911)] {
             let values = surface(&render(gpu, &scene, &settings(64, bounces, choice))?, "R");
@@ -150,8 +150,7 @@ fn cube_faces(gpu: &Gpu) -> Result<Outcome> {
         let mut shapes = closed_box(0.0, 0.0);
         shapes[CEILING].radiance = DVec3::splat(radiance);
         shapes[face].albedo = DVec3::splat(albedo);
-        let scene =
-            placed(Scene { camera: look(from * 2.0, from * 2.0 - from, fov, 32, 32), shapes }, 0.5, DVec3::ZERO);
+        let scene = placed(Scene::new(look(from * 2.0, from * 2.0 - from, fov, 32, 32), shapes), 0.5, DVec3::ZERO);
         for choice in techniques() {
             let at = format!("{choice:?}, face {face}");
             let spp = if choice.0 == Estimator::Nee { 64 } else { 256 };

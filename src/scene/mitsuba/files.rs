@@ -47,7 +47,8 @@ impl Files {
         let index = self.files.len();
         let document = xml::parse(&text, &name)?;
         let unset = Context::new(BTreeMap::new(), false);
-        let source = Source { file: &name, document: &document, context: &unset };
+        let folder = self.folder.clone();
+        let source = Source { file: &name, folder: &folder, document: &document, context: &unset };
         let root = Element::root(&source);
         check_root(root)?;
         self.files.push(File { name: name.clone(), text: String::new(), includes: Vec::new() });

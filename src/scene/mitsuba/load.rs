@@ -1,8 +1,9 @@
 //! From elements to a [`Scene`].
 
 use super::Options;
+use super::emitter::emitter;
 use super::files::Files;
-use super::material::materials;
+use super::material::Materials;
 use super::object::Object;
 use super::sensor::sensor;
 use super::shape::shapes;
@@ -11,23 +12,25 @@ use crate::Result;
 use crate::scene::{Loaded, Scene};
 use std::collections::BTreeSet;
 
-const TOP_LEVEL: &str = "default, include, integrator, sensor, bsdf, shape";
+const TOP_LEVEL: &str = "default, include, integrator, sensor, bsdf, texture, shape, emitter";
 
 pub fn load(text: &str, file: &str, options: &Options) -> Result<Loaded> {
     let mut files = Files::read(text, file, options)?;
     let context = Context::new(std::mem::take(&mut files.parameters), options.lenient);
     let documents = files.parse()?;
-    let source = |(file, document)| Source { file, document, context: &context };
+    let folder = files.folder.clone();
+    let source = |(file, document)| Source { file, folder: &folder, document, context: &context };
     let names = files.files.iter().map(|file| file.name.as_str());
     let sources: Vec<_> = names.zip(&documents).map(source).collect();
     check_ids(&sources)?;
 
-    let materials = materials(&sources)?;
-    let (mut camera, mut bounces, mut list) = (None, None, Vec::new());
+    let materials = Materials::read(&sources)?;
+    let (mut camera, mut bounces, mut list, mut emitters) = (None, None, Vec::new(), Vec::new());
     for element in files.top_level(&sources, 0)? {
         match element.tag() {
             // Read above.
-            "default" | "bsdf" => {}
+            "default" | "bsdf" | "texture" => {}
+            "emitter" => emitters.push(element),
             "shape" => {
                 let name = format!("shape-{}", list.len() + 1);
                 list.extend(shapes(element, name, &materials)?);
@@ -43,7 +46,8 @@ pub fn load(text: &str, file: &str, options: &Options) -> Result<Loaded> {
     let root = Element::root(&sources[0]);
     let (camera, spp) =
         camera.ok_or_else(|| root.error("the scene has no <sensor>; add one of type perspective or thinlens"))?;
-    let scene = Scene { camera, shapes: list };
+    let mut scene = Scene::new(camera, list);
+    emitters.into_iter().try_for_each(|element| emitter(element, &mut scene))?;
     scene.validate()?;
     drop(sources);
     drop(documents);

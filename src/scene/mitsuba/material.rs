@@ -1,107 +1,204 @@
-//! Materials and textures.
+//! Materials.
 
+use super::media::{medium, medium_names, metal, metal_names};
 use super::object::Object;
+use super::texture::{Textures, bitmap_or_checkerboard};
 use super::xml::{Element, Source};
 use crate::Result;
-use crate::scene::Checker;
 use crate::scene::validate::check_albedo;
-use glam::{DMat4, DVec2, DVec3};
+use crate::scene::{Bsdf, Texture};
+use glam::DVec3;
 use std::collections::BTreeMap;
 
 /// Mitsuba's reflectance where the file gives none.
 const DEFAULT_REFLECTANCE: f64 = 0.5;
+const KINDS: [&str; 6] = ["diffuse", "conductor", "roughconductor", "dielectric", "plastic", "twosided"];
 
-/// A diffuse material: its reflectance and, where it has two, the checkerboard.
-#[derive(Clone, Copy)]
+/// What a bsdf element says of a surface.
+#[derive(Clone)]
 pub struct Material {
     pub albedo: DVec3,
-    pub checker: Option<Checker>,
+    pub texture: Option<Texture>,
+    pub bsdf: Bsdf,
+    pub two_sided: bool,
 }
 
 impl Default for Material {
     fn default() -> Self {
-        Self { albedo: DVec3::splat(DEFAULT_REFLECTANCE), checker: None }
+        let albedo = DVec3::splat(DEFAULT_REFLECTANCE);
+        Self { albedo, texture: None, bsdf: Bsdf::Diffuse, two_sided: false }
     }
 }
 
-/// Materials by id.
-pub type Materials = BTreeMap<String, Material>;
+/// What shapes may refer to, by id.
+pub struct Materials {
+    materials: BTreeMap<String, Material>,
+    textures: Textures,
+}
 
-/// Every material that has an id, nested ones included.
-pub fn materials(sources: &[Source]) -> Result<Materials> {
-    let mut materials = Materials::new();
-    for element in sources.iter().flat_map(|source| Element::root(source).descendants()) {
-        if element.tag() == "bsdf" {
-            let material = bsdf(element)?;
-            if let Some(id) = element.attribute("id")? {
-                materials.insert(id, material);
+impl Materials {
+    /// Every texture and material that has an id, nested ones included.
+    pub fn read(sources: &[Source]) -> Result<Self> {
+        let elements: Vec<Element> = sources.iter().flat_map(|source| Element::root(source).descendants()).collect();
+        let mut all = Self { materials: BTreeMap::new(), textures: Textures::new() };
+        for element in elements.iter().filter(|element| element.tag() == "texture") {
+            if let Some(id) = element.attribute("id")?
+                && let Some(texture) = bitmap_or_checkerboard(*element)?
+            {
+                all.textures.insert(id, texture);
             }
         }
-    }
-    Ok(materials)
-}
-
-/// The material of a shape: nested, by reference, or Mitsuba's default, which is black for what emits.
-pub fn material(object: &mut Object, materials: &Materials, emits: bool) -> Result<Material> {
-    let element = object.element;
-    let mut used = Vec::new();
-    for nested in object.take_nested("bsdf") {
-        used.push(bsdf(nested)?);
-    }
-    for reference in object.take_nested("ref") {
-        reference.only_attributes(&["id", "name"])?;
-        reference.no_children()?;
-        let id = reference.required("id")?;
-        let material = materials.get(&id).copied();
-        used.push(material.ok_or_else(|| reference.error(format!("no bsdf has the id '{id}'")))?);
-    }
-    if used.len() > 1 {
-        return Err(element.error(format!("{} has {} materials; it can have one", element.words(), used.len())));
-    }
-    let default = if emits { Material { albedo: DVec3::ZERO, checker: None } } else { Material::default() };
-    Ok(used.pop().unwrap_or(default))
-}
-
-fn bsdf(element: Element) -> Result<Material> {
-    let Some(mut object) = Object::new(element, &["diffuse"])? else { return inner(element) };
-    let reflectance = object.color("reflectance", check_albedo)?;
-    let texture = object.take_one_nested("texture")?;
-    object.finish()?;
-    let plain = reflectance.map_or_else(Material::default, |albedo| Material { albedo, checker: None });
-    match texture {
-        Some(texture) if reflectance.is_some() => {
-            Err(texture.error(format!("{} has a reflectance beside its texture", element.words())))
+        for element in elements.into_iter().filter(|element| element.tag() == "bsdf") {
+            let material = all.bsdf(element)?;
+            if let Some(id) = element.attribute("id")? {
+                all.materials.insert(id, material);
+            }
         }
-        Some(texture) => Ok(checkerboard(texture)?.unwrap_or(plain)),
-        None => Ok(plain),
+        Ok(all)
+    }
+
+    /// The material of a shape: nested, by reference, or Mitsuba's default, which is black for what emits.
+    pub fn of(&self, object: &mut Object, emits: bool) -> Result<Material> {
+        let element = object.element;
+        let mut used = Vec::new();
+        for nested in object.take_nested("bsdf") {
+            used.push(self.bsdf(nested)?);
+        }
+        for (reference, id) in object.references()? {
+            let material = self.materials.get(&id).cloned();
+            used.push(material.ok_or_else(|| reference.error(format!("no bsdf has the id '{id}'")))?);
+        }
+        if used.len() > 1 {
+            return Err(element.error(format!("{} has {} materials; it can have one", element.words(), used.len())));
+        }
+        let default = if emits { Material { albedo: DVec3::ZERO, ..Material::default() } } else { Material::default() };
+        Ok(used.pop().unwrap_or(default))
+    }
+
+    fn bsdf(&self, element: Element) -> Result<Material> {
+        let Some(mut object) = Object::new(element, &KINDS)? else { return self.inner(element) };
+        let material = match object.kind() {
+            "diffuse" => self.textured(&mut object, "reflectance", Bsdf::Diffuse)?,
+            "conductor" | "roughconductor" => conductor(&mut object)?,
+            "dielectric" => dielectric(&mut object)?,
+            "plastic" => self.plastic(&mut object)?,
+            _ => self.two_sided(&mut object)?,
+        };
+        object.finish()?;
+        material.bsdf.validate().map_err(|error| element.error(error))?;
+        Ok(material)
+    }
+
+    /// What stands for a material that is passed over: the one inside it, if there is one, else the default.
+    fn inner(&self, element: Element) -> Result<Material> {
+        match element.children()?.into_iter().find(|child| child.tag() == "bsdf") {
+            Some(nested) => self.bsdf(nested),
+            None => Ok(Material::default()),
+        }
+    }
+
+    /// The colour or texture of this name, which is the material's albedo.
+    fn textured(&self, object: &mut Object, name: &'static str, bsdf: Bsdf) -> Result<Material> {
+        let element = object.element;
+        let color = object.color(name, check_albedo)?;
+        let texture = self.textures.take(object, name)?;
+        if let (Some(texture), true) = (texture.as_ref(), color.is_some()) {
+            return Err(texture.element.error(format!("{} has a {name} beside its texture", element.words())));
+        }
+        let plain = Material { bsdf, ..Material::default() };
+        Ok(match texture.and_then(|texture| texture.value) {
+            Some((albedo, texture)) => Material { albedo, texture: Some(texture), ..plain },
+            None => Material { albedo: color.unwrap_or(plain.albedo), ..plain },
+        })
+    }
+
+    fn plastic(&self, object: &mut Object) -> Result<Material> {
+        let ior = relative_ior(object, "polypropylene")?;
+        let specular = object.color("specular_reflectance", check_albedo)?.unwrap_or(DVec3::ONE);
+        let nonlinear = object.boolean("nonlinear")? == Some(true);
+        self.textured(object, "diffuse_reflectance", Bsdf::Plastic { ior, specular, nonlinear })
+    }
+
+    fn two_sided(&self, object: &mut Object) -> Result<Material> {
+        let element = object.element;
+        let mut nested = object.take_nested("bsdf").into_iter();
+        let mut inside = Vec::new();
+        for element in nested.by_ref() {
+            inside.push(self.bsdf(element)?);
+        }
+        for (reference, id) in object.references()? {
+            let material = self.materials.get(&id).cloned();
+            inside
+                .push(material.ok_or_else(|| {
+                    reference.error(format!("no bsdf before this one has the id '{id}'; move it up"))
+                })?);
+        }
+        if inside.len() > 1 {
+            element.unsupported("a twosided bsdf with two materials is not supported; give it one for both sides")?;
+        }
+        let Some(material) = inside.into_iter().next() else {
+            return Err(element.error(format!("{} lacks the bsdf that both sides shall have", element.words())));
+        };
+        if material.bsdf.transmits() {
+            return Err(element.error("a twosided bsdf cannot hold a dielectric, which has two sides of its own"));
+        }
+        Ok(Material { two_sided: true, ..material })
     }
 }
 
-/// What stands for a material that is passed over: the one inside it, if there is one, else the default.
-fn inner(element: Element) -> Result<Material> {
-    match element.children()?.into_iter().find(|child| child.tag() == "bsdf") {
-        Some(nested) => bsdf(nested),
-        None => Ok(Material::default()),
-    }
+fn conductor(object: &mut Object) -> Result<Material> {
+    let element = object.element;
+    let rough = object.kind() == "roughconductor";
+    let name = object.string("material")?;
+    let number = |v: DVec3| if v.is_finite() { Ok(()) } else { Err(crate::Error::input("not finite")) };
+    let (eta, k) = (object.color("eta", number)?, object.color("k", number)?);
+    let (eta, k) = match name.as_deref() {
+        None | Some("none") => (eta.unwrap_or(DVec3::ZERO), k.unwrap_or(DVec3::ONE)),
+        Some(_) if eta.is_some() || k.is_some() => {
+            return Err(element.error(format!("{} has a material beside eta or k", element.words())));
+        }
+        Some(name) => metal(name).ok_or_else(|| {
+            element
+                .error(format!("material \"{name}\" is not known; known: none, {}; or give eta and k", metal_names()))
+        })?,
+    };
+    let albedo = object.color("specular_reflectance", check_albedo)?.unwrap_or(DVec3::ONE);
+    let roughness = if rough { roughness(object)? } else { None };
+    Ok(Material { albedo, bsdf: Bsdf::Conductor { eta, k, roughness }, ..Material::default() })
 }
 
-/// Mitsuba's defaults are 0.4 and 0.2, one repeat.
-fn checkerboard(element: Element) -> Result<Option<Material>> {
-    if element.required("name")? != "reflectance" {
-        return Err(element.error(format!("{} must be named reflectance", element.words())));
+fn roughness(object: &mut Object) -> Result<Option<f64>> {
+    let element = object.element;
+    let distribution = object.string("distribution")?.unwrap_or("beckmann".to_owned());
+    if !distribution.eq_ignore_ascii_case("ggx") {
+        element.unsupported(format!(
+            "distribution \"{distribution}\" (Mitsuba's default is beckmann) is not supported; supported: ggx"
+        ))?;
     }
-    let Some(mut object) = Object::new(element, &["checkerboard"])? else { return Ok(None) };
-    let albedo = object.color("color0", check_albedo)?.unwrap_or(DVec3::splat(0.4));
-    let second = object.color("color1", check_albedo)?.unwrap_or(DVec3::splat(0.2));
-    let to_uv = object.transform("to_uv")?.unwrap_or(DMat4::IDENTITY);
-    object.finish()?;
-    let off_diagonal = [to_uv.x_axis.y, to_uv.y_axis.x, to_uv.x_axis.z, to_uv.y_axis.z, to_uv.z_axis.x, to_uv.z_axis.y];
-    if off_diagonal.iter().any(|v| *v != 0.0) {
-        element.unsupported("to_uv of a checkerboard may scale and translate; rotations are not supported")?;
-        return Ok(None);
-    }
-    let repeats = DVec2::new(to_uv.x_axis.x, to_uv.y_axis.y);
-    let checker = Checker { albedo: second, repeats, offset: to_uv.w_axis.truncate().truncate() };
-    checker.validate().map_err(|error| element.error(error))?;
-    Ok(Some(Material { albedo, checker: Some(checker) }))
+    // Another way to draw the same distribution.
+    object.pass_over("sample_visible");
+    Ok(Some(object.float("alpha")?.unwrap_or(0.1)))
+}
+
+fn dielectric(object: &mut Object) -> Result<Material> {
+    let ior = relative_ior(object, "bk7")?;
+    let albedo = object.color("specular_reflectance", check_albedo)?.unwrap_or(DVec3::ONE);
+    let transmittance = object.color("specular_transmittance", check_albedo)?.unwrap_or(DVec3::ONE);
+    Ok(Material { albedo, bsdf: Bsdf::Dielectric { ior, transmittance }, ..Material::default() })
+}
+
+/// `int_ior` over `ext_ior`, numbers or names.
+fn relative_ior(object: &mut Object, inside: &str) -> Result<f64> {
+    let mut ior = |name: &'static str, default: &str| -> Result<f64> {
+        let element = object.element;
+        if object.is_number(name) {
+            return Ok(object.float(name)?.unwrap_or_default());
+        }
+        let given = object.string(name)?.unwrap_or(default.to_owned());
+        medium(&given).ok_or_else(|| {
+            element.error(format!("{name} \"{given}\" is not known; known: {}; or give a number", medium_names()))
+        })
+    };
+    let (inside, outside) = (ior("int_ior", inside)?, ior("ext_ior", "air")?);
+    Ok(inside / outside)
 }

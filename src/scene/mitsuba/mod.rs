@@ -10,12 +10,16 @@
 //! Anything else is an error that names file, line and element or, with [`Options::lenient`], left out and named in
 //! [`Loaded::left_out`]. Files that a scene names are looked for in the folder of the scene's main file.
 
+mod emitter;
 mod files;
 mod load;
 mod material;
+mod media;
 mod object;
+mod picture;
 mod sensor;
 mod shape;
+mod texture;
 mod transform;
 mod write;
 mod xml;

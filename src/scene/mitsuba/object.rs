@@ -62,6 +62,21 @@ impl<'a> Object<'a> {
         }
     }
 
+    /// Takes the nested `<ref>` elements, each with the id that it names.
+    pub fn references(&mut self) -> Result<Vec<(Element<'a>, String)>> {
+        let id = |reference: Element<'a>| {
+            reference.only_attributes(&["id", "name"])?;
+            reference.no_children()?;
+            Ok((reference, reference.required("id")?))
+        };
+        self.take_nested("ref").into_iter().map(id).collect()
+    }
+
+    /// Is the property, where there is one, a number?
+    pub fn is_number(&self, name: &str) -> bool {
+        self.properties.get(name).is_some_and(|property| ["float", "integer"].contains(&property.tag()))
+    }
+
     fn take(&mut self, name: &'static str, tags: &[&str]) -> Result<Option<Element<'a>>> {
         self.known.push(name);
         let Some(property) = self.properties.remove(name) else { return Ok(None) };

@@ -1,18 +1,18 @@
 //! Shapes.
 
-use super::material::{Material, Materials, material};
+use super::material::{Material, Materials};
 use super::object::Object;
 use super::xml::Element;
 use crate::Result;
 use crate::scene::camera::without_negative_zeros;
 use crate::scene::validate::{SHEAR_TOLERANCE, check_radiance};
-use crate::scene::{Checker, Geometry, Shape};
+use crate::scene::{Geometry, Shape, Texture};
 use glam::{DMat3, DMat4, DVec3};
 
 /// A surface, and how its u and v differ from those of the file.
 struct Surface {
     geometry: Geometry,
-    checker: fn(Checker) -> Checker,
+    texture: fn(Texture) -> Texture,
 }
 
 /// The shapes that an element stands for: one, six for a cube, none where it is passed over. `name` serves where it has no id.
@@ -20,9 +20,9 @@ pub fn shapes(element: Element, name: String, materials: &Materials) -> Result<V
     let kinds = ["sphere", "rectangle", "disk", "cube"];
     let Some(mut object) = Object::new(element, &kinds)? else { return Ok(Vec::new()) };
     let radiance = object.take_one_nested("emitter")?.map(emitter).transpose()?.flatten();
-    let material = material(&mut object, materials, radiance.is_some())?;
+    let material = materials.of(&mut object, radiance.is_some())?;
     let surfaces = match object.kind() {
-        "sphere" => sphere(&mut object, material.checker.is_some())?.into_iter().collect(),
+        "sphere" => sphere(&mut object, material.texture.is_some())?.into_iter().collect(),
         "cube" => cube(&mut object)?,
         _ => flat(&mut object)?.into_iter().collect(),
     };
@@ -40,8 +40,9 @@ pub fn shapes(element: Element, name: String, materials: &Materials) -> Result<V
 
 impl Surface {
     fn shape(self, name: String, material: &Material, radiance: DVec3) -> Shape {
-        let checker = material.checker.map(self.checker);
-        Shape { name, geometry: self.geometry, albedo: material.albedo, checker, radiance }
+        let Material { albedo, ref texture, bsdf, two_sided } = *material;
+        let texture = texture.clone().map(self.texture);
+        Shape { name, geometry: self.geometry, albedo, texture, bsdf, two_sided, radiance }
     }
 }
 
@@ -70,10 +71,10 @@ fn sphere(object: &mut Object, textured: bool) -> Result<Option<Surface>> {
     } else if axes.determinant() < 0.0 {
         "to_world of a sphere mirrors it, which turns it inside out: not supported"
     } else if textured && !straight {
-        "to_world rotates a sphere with a checkerboard: not supported"
+        "to_world rotates a sphere with a texture: not supported"
     } else {
         let geometry = Geometry::Sphere { center: to_world.transform_point3(center), radius: scale * radius, inward };
-        return Ok(Some(Surface { geometry, checker: |checker| checker }));
+        return Ok(Some(Surface { geometry, texture: |texture| texture }));
     };
     element.unsupported(refused)?;
     Ok(None)
@@ -115,14 +116,14 @@ fn flat(object: &mut Object) -> Result<Option<Surface>> {
     // The normal is the image of +z; where the matrix mirrors, that is -(u x v).
     let turned = flip != (DMat3::from_mat4(to_world).determinant() < 0.0);
     Ok(Some(match (object.kind() == "disk", turned) {
-        (true, false) => Surface { geometry: Geometry::Disk { center, half_u, half_v }, checker: |c| c },
+        (true, false) => Surface { geometry: Geometry::Disk { center, half_u, half_v }, texture: |t| t },
         (true, true) => {
-            Surface { geometry: Geometry::Disk { center, half_u, half_v: -half_v }, checker: Checker::mirrored }
+            Surface { geometry: Geometry::Disk { center, half_u, half_v: -half_v }, texture: Texture::mirrored }
         }
-        (false, false) => Surface { geometry: Geometry::Rectangle { center, half_u, half_v }, checker: |c| c },
+        (false, false) => Surface { geometry: Geometry::Rectangle { center, half_u, half_v }, texture: |t| t },
         (false, true) => Surface {
             geometry: Geometry::Rectangle { center, half_u: half_v, half_v: half_u },
-            checker: Checker::swapped,
+            texture: Texture::swapped,
         },
     }))
 }
@@ -151,9 +152,9 @@ fn cube(object: &mut Object) -> Result<Vec<Surface>> {
         let [half_u, half_v] = [u, v].map(|v| to_world.transform_vector3(v) + DVec3::ZERO);
         if swapped {
             let geometry = Geometry::Rectangle { center, half_u: half_v, half_v: half_u };
-            Surface { geometry, checker: Checker::swapped }
+            Surface { geometry, texture: Texture::swapped }
         } else {
-            Surface { geometry: Geometry::Rectangle { center, half_u, half_v }, checker: |checker| checker }
+            Surface { geometry: Geometry::Rectangle { center, half_u, half_v }, texture: |texture| texture }
         }
     };
     Ok(CUBE.into_iter().map(face).collect())

@@ -1,8 +1,10 @@
 //! A [`Scene`] as Mitsuba 3 XML.
 
 use super::transform::swap_camera_convention;
-use crate::scene::{Checker, Geometry, Scene, Shape};
-use glam::{DMat4, DVec3};
+use crate::scene::{
+    Bitmap, Bsdf, Checker, Environment, Filter, Geometry, Picture, PointLight, Scene, Shape, Texture, Wrap,
+};
+use glam::{DMat4, DVec3, DVec4};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
@@ -26,10 +28,10 @@ pub fn write(scene: &Scene) -> String {
     line(&mut xml, &format!("  <sensor type=\"{kind}\">"));
     if let Some(lens) = camera.lens {
         for (name, length) in [("aperture_radius", lens.aperture_radius), ("focus_distance", lens.focus_distance)] {
-            line(&mut xml, &format!("    <float name=\"{name}\" value=\"{length:?}\"/>"));
+            line(&mut xml, &format!("    {}", float(name, length)));
         }
     }
-    line(&mut xml, &format!("    <float name=\"fov\" value=\"{:?}\"/>", camera.fov_x_degrees));
+    line(&mut xml, &format!("    {}", float("fov", camera.fov_x_degrees)));
     line(&mut xml, "    <string name=\"fov_axis\" value=\"x\"/>");
     line(&mut xml, &format!("    {}", to_world(swap_camera_convention(camera.to_world))));
     line(&mut xml, "    <film type=\"hdrfilm\">");
@@ -41,6 +43,8 @@ pub fn write(scene: &Scene) -> String {
     line(&mut xml, "  </sensor>");
     let mut ids = BTreeSet::new();
     scene.shapes.iter().for_each(|shape| write_shape(&mut xml, shape, &mut ids));
+    scene.points.iter().for_each(|point| write_point(&mut xml, point, &mut ids));
+    scene.environment.iter().for_each(|environment| write_environment(&mut xml, environment));
     xml + "</scene>\n"
 }
 
@@ -55,7 +59,7 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
         Geometry::Sphere { center, radius, inward } => {
             let [x, y, z] = center.to_array();
             line(xml, &format!("    <point name=\"center\" x=\"{x:?}\" y=\"{y:?}\" z=\"{z:?}\"/>"));
-            line(xml, &format!("    <float name=\"radius\" value=\"{radius:?}\"/>"));
+            line(xml, &format!("    {}", float("radius", radius)));
             if inward {
                 line(xml, "    <boolean name=\"flip_normals\" value=\"true\"/>");
             }
@@ -67,28 +71,132 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
             line(xml, &format!("    {}", to_world(matrix)));
         }
     }
-    match shape.checker {
-        None => line(xml, &format!("    <bsdf type=\"diffuse\">{}</bsdf>", rgb("reflectance", shape.albedo))),
-        Some(checker) => write_checkerboard(xml, shape.albedo, checker),
-    }
+    let bsdf = bsdf(shape);
+    line(
+        xml,
+        &if shape.two_sided { format!("    <bsdf type=\"twosided\">{bsdf}</bsdf>") } else { format!("    {bsdf}") },
+    );
     if shape.radiance != DVec3::ZERO {
         line(xml, &format!("    <emitter type=\"area\">{}</emitter>", rgb("radiance", shape.radiance)));
     }
     line(xml, "  </shape>");
 }
 
-fn write_checkerboard(xml: &mut String, albedo: DVec3, checker: Checker) {
+fn bsdf(shape: &Shape) -> String {
+    let albedo = shape.albedo;
+    match shape.bsdf {
+        Bsdf::Diffuse => format!("<bsdf type=\"diffuse\">{}</bsdf>", reflectance("reflectance", shape)),
+        Bsdf::Conductor { eta, k, roughness } => {
+            let colors = rgb("eta", eta) + &rgb("k", k) + &rgb("specular_reflectance", albedo);
+            let (kind, rough) = match roughness {
+                None => ("conductor", String::new()),
+                Some(alpha) => (
+                    "roughconductor",
+                    r#"<string name="distribution" value="ggx"/>"#.to_owned() + &float("alpha", alpha),
+                ),
+            };
+            format!("<bsdf type=\"{kind}\">{rough}{colors}</bsdf>")
+        }
+        Bsdf::Dielectric { ior, transmittance } => {
+            let colors = rgb("specular_reflectance", albedo) + &rgb("specular_transmittance", transmittance);
+            format!("<bsdf type=\"dielectric\">{}{colors}</bsdf>", relative_ior(ior))
+        }
+        Bsdf::Plastic { ior, specular, nonlinear } => format!(
+            "<bsdf type=\"plastic\">{}<boolean name=\"nonlinear\" value=\"{nonlinear}\"/>{}{}</bsdf>",
+            relative_ior(ior),
+            rgb("specular_reflectance", specular),
+            reflectance("diffuse_reflectance", shape)
+        ),
+    }
+}
+
+/// Over 1, so that the quotient is read back to the last bit.
+fn relative_ior(ior: f64) -> String {
+    float("int_ior", ior) + &float("ext_ior", 1.0)
+}
+
+fn reflectance(name: &str, shape: &Shape) -> String {
+    match &shape.texture {
+        None => rgb(name, shape.albedo),
+        Some(Texture::Checker(checker)) => checkerboard(name, shape.albedo, *checker),
+        Some(Texture::Bitmap(map)) => bitmap(name, map),
+    }
+}
+
+fn checkerboard(name: &str, albedo: DVec3, checker: Checker) -> String {
     let Checker { albedo: second, repeats, offset } = checker;
-    line(xml, "    <bsdf type=\"diffuse\"><texture type=\"checkerboard\" name=\"reflectance\">");
-    line(xml, &format!("      {}{}", rgb("color0", albedo), rgb("color1", second)));
+    format!(
+        "<texture type=\"checkerboard\" name=\"{name}\">\n      {}{}\n      <transform name=\"to_uv\"><scale x=\"{:?}\" y=\"{:?}\"/><translate x=\"{:?}\" y=\"{:?}\"/></transform>\n    </texture>",
+        rgb("color0", albedo),
+        rgb("color1", second),
+        repeats.x,
+        repeats.y,
+        offset.x,
+        offset.y
+    )
+}
+
+fn bitmap(name: &str, map: &Bitmap) -> String {
+    let (x, y) = (map.matrix.x_axis, map.matrix.y_axis);
+    let to_uv = DMat4::from_cols(
+        DVec4::new(x.x, x.y, 0.0, 0.0),
+        DVec4::new(y.x, y.y, 0.0, 0.0),
+        DVec4::Z,
+        DVec4::new(map.offset.x, map.offset.y, 0.0, 1.0),
+    );
+    let filter = match map.filter {
+        Filter::Bilinear => "bilinear",
+        Filter::Nearest => "nearest",
+    };
+    let wrap = match map.wrap {
+        Wrap::Repeat => "repeat",
+        Wrap::Mirror => "mirror",
+        Wrap::Clamp => "clamp",
+    };
+    format!(
+        "<texture type=\"bitmap\" name=\"{name}\">\n      {}<boolean name=\"raw\" value=\"{}\"/><string name=\"filter_type\" value=\"{filter}\"/><string name=\"wrap_mode\" value=\"{wrap}\"/>\n      {}\n    </texture>",
+        filename(&map.picture),
+        map.picture.raw,
+        transform("to_uv", to_uv)
+    )
+}
+
+fn write_point(xml: &mut String, point: &PointLight, ids: &mut BTreeSet<String>) {
+    let [x, y, z] = point.position.to_array();
+    let id = unique_id(&point.name, "point", ids);
     line(
         xml,
         &format!(
-            "      <transform name=\"to_uv\"><scale x=\"{:?}\" y=\"{:?}\"/><translate x=\"{:?}\" y=\"{:?}\"/></transform>",
-            repeats.x, repeats.y, offset.x, offset.y
+            "  <emitter type=\"point\" id=\"{id}\"><point name=\"position\" x=\"{x:?}\" y=\"{y:?}\" z=\"{z:?}\"/>{}</emitter>",
+            rgb("intensity", point.intensity)
         ),
     );
-    line(xml, "    </texture></bsdf>");
+}
+
+fn write_environment(xml: &mut String, environment: &Environment) {
+    let text = match environment {
+        Environment::Constant(radiance) => {
+            format!("  <emitter type=\"constant\">{}</emitter>", rgb("radiance", *radiance))
+        }
+        Environment::Map(map) => format!(
+            "  <emitter type=\"envmap\">{}{}{}</emitter>",
+            filename(&map.picture),
+            float("scale", map.scale),
+            to_world(DMat4::from_mat3(map.to_world))
+        ),
+    };
+    line(xml, &text);
+}
+
+/// The file that a picture came from, as a full path: the scene may be written elsewhere.
+fn filename(picture: &Picture) -> String {
+    let path = std::fs::canonicalize(&picture.path).unwrap_or_else(|_| picture.path.clone());
+    let path = path.display().to_string().replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
+    format!("<string name=\"filename\" value=\"{path}\"/>")
+}
+
+fn float(name: &str, value: f64) -> String {
+    format!("<float name=\"{name}\" value=\"{value:?}\"/>")
 }
 
 /// A name as an XML id that no earlier shape has.
@@ -105,8 +213,12 @@ fn unique_id(name: &str, kind: &str, ids: &mut BTreeSet<String>) -> String {
 }
 
 fn to_world(matrix: DMat4) -> String {
+    transform("to_world", matrix)
+}
+
+fn transform(name: &str, matrix: DMat4) -> String {
     let rows: Vec<_> = matrix.transpose().to_cols_array().iter().map(|v| format!("{v:?}")).collect();
-    format!("<transform name=\"to_world\"><matrix value=\"{}\"/></transform>", rows.join(" "))
+    format!("<transform name=\"{name}\"><matrix value=\"{}\"/></transform>", rows.join(" "))
 }
 
 fn rgb(name: &str, color: DVec3) -> String {

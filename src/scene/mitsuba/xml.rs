@@ -1,9 +1,13 @@
 //! XML elements with parameters substituted, and errors that name file and line.
 
+use super::picture;
+use crate::scene::Picture;
 use crate::{Error, Result};
 use roxmltree::{Document, Node, NodeType};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What all files of a scene share.
 pub struct Context {
@@ -12,11 +16,13 @@ pub struct Context {
     /// What is not supported is noted and passed over, not refused.
     lenient: bool,
     notes: RefCell<Vec<String>>,
+    /// What has been read, by path and whether it is raw.
+    pictures: RefCell<BTreeMap<(PathBuf, bool), Arc<Picture>>>,
 }
 
 impl Context {
     pub fn new(parameters: BTreeMap<String, String>, lenient: bool) -> Self {
-        Self { parameters, lenient, notes: RefCell::default() }
+        Self { parameters, lenient, notes: RefCell::default(), pictures: RefCell::default() }
     }
 
     /// Adds a note; an element that is read twice is noted once.
@@ -36,8 +42,23 @@ impl Context {
 #[derive(Clone, Copy)]
 pub struct Source<'a> {
     pub file: &'a str,
+    /// The folder of the scene's main file, where the files that it names are looked for.
+    pub folder: &'a Path,
     pub document: &'a Document<'a>,
     pub context: &'a Context,
+}
+
+impl Source<'_> {
+    /// The picture in a file that the scene names; it is read once.
+    pub fn picture(&self, file: &str, raw: bool) -> Result<Arc<Picture>> {
+        let key = (self.folder.join(file), raw);
+        if let Some(picture) = self.context.pictures.borrow().get(&key) {
+            return Ok(picture.clone());
+        }
+        let picture = Arc::new(picture::read(&key.0, raw)?);
+        self.context.pictures.borrow_mut().insert(key, picture.clone());
+        Ok(picture)
+    }
 }
 
 /// Parses the text; an error names the line.
