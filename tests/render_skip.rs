@@ -7,7 +7,7 @@ use limpid::gpu::Gpu;
 use limpid::image::Image;
 use limpid::metrics::different_values;
 use limpid::render::{Estimator, Features, Renderer, Sampler, Settings, Skip};
-use limpid::scene::{Scene, rooms};
+use limpid::scene::{Bsdf, Environment, PointLight, Scene, rooms};
 use render_support::*;
 
 const COLOURS: [&str; 3] = ["R", "G", "B"];
@@ -43,15 +43,27 @@ fn scenes() -> Vec<(String, Scene)> {
         (scene.camera.width, scene.camera.height) = (48, 40);
         scenes.push((format!("rooms:{n}"), scene));
     }
+    let mut metal = cornell(48);
+    metal.shapes[0].bsdf = Bsdf::Conductor { eta: DVec3::ZERO, k: DVec3::ONE, roughness: Some(0.3) };
+    metal.points.push(PointLight { name: "bulb".into(), position: DVec3::new(0.3, 0.5, 0.2), intensity: DVec3::ONE });
+    metal.environment = Some(Environment::Constant(DVec3::ONE));
+    scenes.push(("metal".to_owned(), metal));
     scenes
 }
 
 fn check(skip: Skip) {
+    check_in(skip, scenes());
+}
+
+fn check_in(skip: Skip, scenes: Vec<(String, Scene)>) {
     let gpu = device();
     let mut seen = 0;
-    for (name, scene) in scenes() {
+    for (name, scene) in scenes {
         for (estimator, sampler) in [(Estimator::Nee, Sampler::Sobol), (Estimator::Cosine, Sampler::Pcg)] {
             for aa in [false, true] {
+                if !scene.points.is_empty() && estimator != Estimator::Nee {
+                    continue;
+                }
                 let settings = Settings { spp: 8, estimator, sampler, aa, aovs: false, ..Settings::default() };
                 let features = Features::new(&scene, &settings);
                 if !features.skips().any(|s| s == skip) {
@@ -88,6 +100,12 @@ fn checkers_are_skipped() {
 }
 
 #[test]
+fn materials_are_skipped() {
+    // Not in all of them: pipelines with all materials take a second to compile.
+    check_in(Skip::Materials, scenes().into_iter().step_by(3).collect());
+}
+
+#[test]
 fn aovs_are_skipped() {
     check(Skip::Aovs);
 }
@@ -116,6 +134,15 @@ fn a_scene_keeps_what_it_needs() {
     let mut scene = cornell(8);
     scene.shapes.extend((0..17).map(|i| sphere([0.0, 0.0, f64::from(i) * 0.01], 0.001, 0.5, 0.0)));
     assert!(!skips(&scene, &settings).contains(&Skip::Loops));
+    let mut scene = cornell(8);
+    let metal = |roughness| Bsdf::Conductor { eta: DVec3::ZERO, k: DVec3::ONE, roughness };
+    let glass = Bsdf::Dielectric { ior: 1.5, transmittance: DVec3::ONE };
+    let plastic = Bsdf::Plastic { ior: 1.5, specular: DVec3::ONE, nonlinear: false };
+    for (shape, bsdf) in scene.shapes.iter_mut().zip([metal(None), metal(Some(0.1)), glass, plastic]) {
+        shape.bsdf = bsdf;
+    }
+    scene.shapes[0].two_sided = true;
+    assert!(!skips(&scene, &settings).contains(&Skip::Materials));
     let checkered = (0..20).map(rooms::rooms).find(|scene| scene.shapes.iter().any(|s| s.texture.is_some()));
     assert!(!skips(&checkered.expect("a room with a checkerboard"), &settings).contains(&Skip::Checkers));
 }

@@ -52,7 +52,7 @@ fn has_coop() -> bool {
 tests! {
     t01_furnace "T1";
     t02_concentric_spheres "T2";
-    t03_point_light_in_a_sphere "T3" not run: "there are no point lights yet";
+    t03_point_light_in_a_sphere "T3";
     t04_sphere_light_on_a_patch "T4";
     t05_tiny_and_huge_lights "T5";
     t06_faces_of_a_cube "T6";

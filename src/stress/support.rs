@@ -95,11 +95,15 @@ pub fn cornell(size: u32) -> Scene {
     scene
 }
 
-/// The scene with every length times `scale`, then moved by `shift`.
+/// The scene with every length times `scale`, then moved by `shift`; point lights keep the light that they throw on it.
 #[must_use]
 pub fn placed(mut scene: Scene, scale: f64, shift: DVec3) -> Scene {
     let m = &mut scene.camera.to_world;
     *m = DMat4::from_cols(m.x_axis, m.y_axis, m.z_axis, (m.w_axis.truncate() * scale + shift).extend(1.0));
+    for point in &mut scene.points {
+        point.position = point.position * scale + shift;
+        point.intensity *= scale * scale;
+    }
     for shape in &mut scene.shapes {
         match &mut shape.geometry {
             Geometry::Sphere { center, radius, .. } => {

@@ -6,8 +6,9 @@ use crate::Result;
 use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::render::{Estimator, Renderer, Sampler, Settings};
-use crate::scene::Scene;
+use crate::scene::{PointLight, Scene};
 use glam::DVec3;
+use std::f64::consts::PI;
 
 pub(super) const CASES: &[Case] = &[
     Case {
@@ -26,7 +27,7 @@ pub(super) const CASES: &[Case] = &[
         number: "T3",
         name: "point light in a sphere",
         claim: "a point light in the middle of a grey sphere lights it by the closed form",
-        run: |_| Ok(Outcome::not_run("there are no point lights yet")),
+        run: point_in_a_sphere,
     },
     Case {
         number: "T6",
@@ -137,6 +138,32 @@ fn concentric_spheres(gpu: &Gpu) -> Result<Outcome> {
 
 /// One face of the black cube [-0.5, 0.5]^3 reflects, and the camera before the face opposite sees just that face. The film is
 /// parallel to it, so samples are uniform on the face and their mean is the face's.
+/// Every path of a pixel meets the same light at each of its hits, so each pixel is a test.
+fn point_in_a_sphere(gpu: &Gpu) -> Result<Outcome> {
+    let mut checks = Checks::default();
+    for scale in [1e-6, 1.0, 1e6] {
+        let camera = look(DVec3::new(0.3, 0.1, 0.0), DVec3::X, 80.0, 32, 32);
+        let mut scene = Scene::new(camera, vec![cavity(1.0, 0.5, 0.0)]);
+        scene.points.push(PointLight { name: "bulb".into(), position: DVec3::ZERO, intensity: DVec3::splat(PI) });
+        let scene = placed(scene, scale, DVec3::ZERO);
+        for bounces in [1, 2, 4, 8] {
+            let exact = 1.0 - 0.5f64.powi(bounces);
+            for choice in techniques().filter(|(estimator, _)| *estimator == Estimator::Nee) {
+                let image = render(gpu, &scene, &settings(4, bounces as u32, choice))?;
+                let off = channel(&image, "G").into_iter().map(|v| (v / exact - 1.0).abs()).fold(0.0, f64::max);
+                // Rays start 2e-5 of the scene off the wall, nearer to the light by as much: 4e-5.
+                checks.at_most(
+                    "relative error",
+                    off,
+                    5e-5,
+                    format_args!("{choice:?}, {bounces} bounces, scale {scale:e}"),
+                );
+            }
+        }
+    }
+    Ok(checks.outcome())
+}
+
 fn cube_faces(gpu: &Gpu) -> Result<Outcome> {
     let mut checks = Checks::default();
     const FLOOR: usize = 3;
