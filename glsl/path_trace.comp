@@ -35,7 +35,8 @@ layout(constant_id = 20) const uint ROULETTE = 0xffffffff; // from so many refle
 layout(constant_id = 22) const uint MATERIALS = 0;         // bits of the kinds that a surface has, beyond diffuse ones (lib/bsdf.glsl)
 layout(constant_id = 23) const bool TWO_SIDED = false;     // a surface reflects on both sides
 layout(constant_id = 24) const bool BITMAPS = false;       // a surface has a picture
-layout(constant_id = 25) const uint POINT_COUNT = 0;       // points that emit, after the rectangles
+layout(constant_id = 25) const uint DELTA_COUNT = 0;       // lights that no ray meets, after the rectangles
+layout(constant_id = 27) const uint DELTA_KINDS = 0;       // one bit a kind of them (lib/lights.glsl)
 layout(constant_id = 26) const uint ENVIRONMENT = 0;       // what is around the scene (lib/environment.glsl)
 
 const uint ESTIMATOR_UNIFORM = 0u;
@@ -77,13 +78,13 @@ const uint ENVIRONMENT_DIMENSIONS = 4096u; // four more numbers for a direction 
 const uint AREA_LIGHT_COUNT = SPHERE_LIGHT_COUNT + RECT_LIGHT_COUNT;
 const bool MAP_SAMPLED = ENVIRONMENT == 2u;
 // Lights that are sampled: the rest surrounds its receivers and is left to the bounces.
-const uint LIGHT_COUNT = AREA_LIGHT_COUNT + POINT_COUNT + (MAP_SAMPLED ? 1u : 0u);
+const uint LIGHT_COUNT = AREA_LIGHT_COUNT + DELTA_COUNT + (MAP_SAMPLED ? 1u : 0u);
 const bool NEE = ESTIMATOR == ESTIMATOR_NEE && LIGHT_COUNT > 0u;
 // Does a ray after the last reflection's light sample still find light?
 const bool LAST_RAY = !NEE || RECT_LIGHT_COUNT > 0u || INWARD_LIGHT_COUNT > 0u || ENVIRONMENT != 0u || MATERIALS != 0u;
 const bool LIT = AREA_LIGHT_COUNT + INWARD_LIGHT_COUNT > 0u;
-const bool ONE_LIGHT = AREA_LIGHT_COUNT + INWARD_LIGHT_COUNT == 1u && POINT_COUNT == 0u && !MAP_SAMPLED;
-const uint POINT_FIRST = SPHERE_COUNT + RECT_COUNT;
+const bool ONE_LIGHT = AREA_LIGHT_COUNT + INWARD_LIGHT_COUNT == 1u && DELTA_COUNT == 0u && !MAP_SAMPLED;
+const uint DELTA_FIRST = SPHERE_COUNT + RECT_COUNT;
 const uint ONE_LIGHT_ID = SPHERE_LIGHT_COUNT > 0u ? 0u : INWARD_LIGHT_COUNT > 0u ? INWARD_FIRST : SPHERE_COUNT;
 // All rectangles across an axis?
 const uint AXIS_BITS = RECT_COUNT >= 16u ? 0x55555555u : ((1u << (2u * RECT_COUNT)) - 1u) & 0x55555555u;

@@ -7,7 +7,8 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 use limpid::gpu::Gpu;
 use limpid::render::{Estimator, Renderer, Sampler, Settings};
 use limpid::scene::{
-    Bitmap, Bsdf, Environment, EnvironmentMap, Filter, Picture, PointLight, Scene, Shape, Texture, Wrap,
+    Bitmap, Bsdf, DeltaKind, DeltaLight, Environment, EnvironmentMap, Falloff, Filter, Picture, Scene, Shape, Texture,
+    Wrap,
 };
 use render_support::*;
 use std::f64::consts::{PI, TAU};
@@ -273,35 +274,83 @@ fn a_patch_under_the_sky() {
     }
 }
 
+/// Each kind alone, and two of them together, in closed form, at three scales.
 #[test]
-fn a_patch_under_a_point_light() {
+fn a_patch_under_lights_without_a_surface() {
     let gpu = device();
-    let settings = settings(2, 1, (Estimator::Nee, Sampler::Pcg));
+    let settings = |spp| settings(spp, 1, (Estimator::Nee, Sampler::Sobol));
+    let place = DVec3::new(0.6, 0.8, 0.3);
+    let away = -place.normalize();
+    // The patch lies 22 degrees off the axis.
+    let axis = glam::DQuat::from_axis_angle(away.any_orthonormal_vector(), 22f64.to_radians()) * away;
+    let spot = |scale: f64, falloff| DeltaKind::Spot {
+        position: place * scale,
+        direction: axis,
+        beam_degrees: 15.0,
+        cutoff_degrees: 30.0,
+        falloff,
+    };
+    let cos = |degrees: f64| degrees.to_radians().cos();
+    let squared = ((cos(22.0) - cos(30.0)) / (cos(15.0) - cos(30.0))).powi(2);
     for scale in [1e-6, 1.0, 1e6] {
-        let position = DVec3::new(0.6, 0.8, 0.3) * scale;
         let half = 1e-4 * scale;
         let patch = rectangle(DVec3::ZERO, DVec3::Z * half, DVec3::X * half, 0.5, 0.0);
         let camera = look(DVec3::new(0.2, 1.0, 0.1) * half, DVec3::ZERO, 10.0, 16, 16);
-        let mut scene =
-            Scene::new(camera, vec![patch, sphere((DVec3::NEG_Y * scale).to_array(), 0.1 * scale, 0.0, 0.0)]);
-        scene.points.push(PointLight {
-            name: "bulb".into(),
-            position,
-            intensity: DVec3::new(1.0, 3.0, 2.0) * scale * scale,
-        });
-        let expected = 0.5 / PI * 3.0 * (position.y / position.length()) / position.length_squared() * scale * scale;
-        for value in green(&gpu, &scene, &settings) {
-            // 5e-4: rays start 2e-5 of the scene off the patch, which is no point.
-            assert!((value / expected - 1.0).abs() < 5e-4, "scale {scale}: {value}, expected {expected}");
+        let below = sphere((DVec3::NEG_Y * scale).to_array(), 0.1 * scale, 0.0, 0.0);
+        let light = |kind: DeltaKind| {
+            let intensity = DVec3::new(1.0, 3.0, 2.0);
+            let scale2 = if kind == (DeltaKind::Directional { direction: away }) { 1.0 } else { scale * scale };
+            DeltaLight { name: "light".into(), intensity: intensity * scale2, kind }
+        };
+        let inverse_square = 1.0 / place.length_squared();
+        let kinds = [
+            (DeltaKind::Point { position: place * scale }, inverse_square),
+            (DeltaKind::Directional { direction: away }, 1.0),
+            (spot(scale, Falloff::Linear), inverse_square * 8.0 / 15.0),
+            (spot(scale, Falloff::Squared), inverse_square * squared),
+        ];
+        let reflected = 0.5 / PI * 3.0 * -away.y;
+        for (kind, factor) in kinds {
+            let mut scene = Scene::new(camera.clone(), vec![patch.clone(), below.clone()]);
+            scene.delta_lights.push(light(kind));
+            for value in green(&gpu, &scene, &settings(2)) {
+                // 5e-4: rays start 2e-5 of the scene off the patch, which is no point.
+                let expected = reflected * factor;
+                assert!((value / expected - 1.0).abs() < 5e-4, "{kind:?}: {value}, expected {expected}");
+            }
+            // Behind something it is dark.
+            scene.shapes.push(sphere((0.5 * place * scale).to_array(), 0.2 * scale, 0.5, 0.0));
+            assert!(green(&gpu, &scene, &settings(2)).iter().all(|v| *v == 0.0), "{kind:?}");
         }
-        // Behind something it is dark.
-        scene.shapes.push(sphere((0.5 * position).to_array(), 0.2 * scale, 0.5, 0.0));
-        assert!(green(&gpu, &scene, &settings).iter().all(|v| *v == 0.0));
+        // One at a time, by power; the kinds add up.
+        let mut scene = Scene::new(camera.clone(), vec![patch.clone(), below.clone()]);
+        scene.delta_lights.extend(kinds.map(|(kind, _)| light(kind)));
+        let sum: f64 = kinds.iter().map(|(_, factor)| factor).sum();
+        assert_mean(&green(&gpu, &scene, &settings(256)), reflected * sum, 5e-4, &format!("all at scale {scale}"));
+    }
+    // Beyond the cutoff there is nothing, in the beam there is all.
+    for (degrees, factor) in [(31.0, 0.0), (14.0, 1.0)] {
+        let direction = glam::DQuat::from_axis_angle(away.any_orthonormal_vector(), f64::to_radians(degrees)) * away;
+        for falloff in [Falloff::Linear, Falloff::Squared] {
+            let kind =
+                DeltaKind::Spot { position: place, direction, beam_degrees: 15.0, cutoff_degrees: 30.0, falloff };
+            let patch = rectangle(DVec3::ZERO, DVec3::Z * 1e-4, DVec3::X * 1e-4, 0.5, 0.0);
+            let mut scene = Scene::new(look(DVec3::Y * 1e-4, DVec3::ZERO, 10.0, 4, 4), vec![patch]);
+            scene.delta_lights.push(DeltaLight { name: "spot".into(), intensity: DVec3::splat(3.0), kind });
+            let expected = factor * 0.5 / PI * 3.0 * -away.y / place.length_squared();
+            for value in green(&gpu, &scene, &settings(1)) {
+                assert!((value - expected).abs() <= 5e-4 * expected, "{degrees}: {value}, expected {expected}");
+            }
+        }
     }
     let mut scene = cornell(8);
-    scene.points.push(PointLight { name: "bulb".into(), position: DVec3::ZERO, intensity: DVec3::ONE });
+    scene.delta_lights.push(DeltaLight {
+        name: "bulb".into(),
+        intensity: DVec3::ONE,
+        kind: DeltaKind::Point { position: DVec3::ZERO },
+    });
     let error = Renderer::new(&gpu, &scene, &Settings { estimator: Estimator::Cosine, ..Settings::default() });
-    assert!(error.err().expect("refused").to_string().contains("point light: use nee"));
+    assert!(error.err().expect("refused").to_string().contains("light without a surface: use nee"));
 }
 
 /// Light sampling and its weights show in the mean what bounces alone find: every material under every kind of light.

@@ -7,7 +7,7 @@ use limpid::gpu::Gpu;
 use limpid::image::Image;
 use limpid::metrics::different_values;
 use limpid::render::{Estimator, Features, Renderer, Sampler, Settings, Skip};
-use limpid::scene::{Bsdf, Environment, PointLight, Scene, rooms};
+use limpid::scene::{Bsdf, DeltaKind, DeltaLight, Environment, Scene, rooms};
 use render_support::*;
 
 const COLOURS: [&str; 3] = ["R", "G", "B"];
@@ -45,7 +45,8 @@ fn scenes() -> Vec<(String, Scene)> {
     }
     let mut metal = cornell(48);
     metal.shapes[0].bsdf = Bsdf::Conductor { eta: DVec3::ZERO, k: DVec3::ONE, roughness: Some(0.3) };
-    metal.points.push(PointLight { name: "bulb".into(), position: DVec3::new(0.3, 0.5, 0.2), intensity: DVec3::ONE });
+    let kind = DeltaKind::Point { position: DVec3::new(0.3, 0.5, 0.2) };
+    metal.delta_lights.push(DeltaLight { name: "bulb".into(), intensity: DVec3::ONE, kind });
     metal.environment = Some(Environment::Constant(DVec3::ONE));
     scenes.push(("metal".to_owned(), metal));
     scenes
@@ -61,7 +62,7 @@ fn check_in(skip: Skip, scenes: Vec<(String, Scene)>) {
     for (name, scene) in scenes {
         for (estimator, sampler) in [(Estimator::Nee, Sampler::Sobol), (Estimator::Cosine, Sampler::Pcg)] {
             for aa in [false, true] {
-                if !scene.points.is_empty() && estimator != Estimator::Nee {
+                if !scene.delta_lights.is_empty() && estimator != Estimator::Nee {
                     continue;
                 }
                 let settings = Settings { spp: 8, estimator, sampler, aa, aovs: false, ..Settings::default() };

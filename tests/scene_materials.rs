@@ -3,7 +3,7 @@
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use limpid::image::{Image, exr};
 use limpid::scene::mitsuba::{self, Options};
-use limpid::scene::{Bsdf, Environment, Filter, Scene, Shape, Texture, Wrap};
+use limpid::scene::{Bsdf, DeltaKind, Environment, Falloff, Filter, Scene, Shape, Texture, Wrap};
 use std::path::Path;
 
 const SENSOR: &str = r#"<sensor type="perspective"><float name="fov" value="40"/></sensor>"#;
@@ -122,16 +122,24 @@ fn lights_without_a_surface() {
         folder.path(),
         r#"<emitter type="point" id="bulb"><point name="position" x="1" y="2" z="3"/><rgb name="intensity" value="4,5,6"/></emitter>
         <emitter type="point"><transform name="to_world"><translate x="-1"/></transform></emitter>
+        <emitter type="spot"><float name="cutoff_angle" value="40"/>
+        <transform name="to_world"><rotate x="1" angle="90"/><translate y="1"/></transform></emitter>
+        <emitter type="directional"><vector name="direction" x="3" y="-4" z="0"/><float name="irradiance" value="2"/></emitter>
         <emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="0.5"/>
         <transform name="to_world"><rotate y="1" angle="90"/><scale value="7"/></transform></emitter>"#,
     )
     .expect("a scene");
-    assert_eq!(scene.points[0].name, "bulb");
-    assert_eq!(
-        (scene.points[0].position, scene.points[0].intensity),
-        (DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 5.0, 6.0))
-    );
-    assert_eq!((scene.points[1].position, scene.points[1].intensity), (DVec3::NEG_X, DVec3::ONE));
+    let [bulb, other, spot, sun] = &scene.delta_lights[..] else { panic!("{:?}", scene.delta_lights) };
+    assert_eq!((bulb.name.as_str(), bulb.intensity), ("bulb", DVec3::new(4.0, 5.0, 6.0)));
+    assert_eq!(bulb.kind, DeltaKind::Point { position: DVec3::new(1.0, 2.0, 3.0) });
+    assert_eq!((other.kind, other.intensity), (DeltaKind::Point { position: DVec3::NEG_X }, DVec3::ONE));
+    let DeltaKind::Spot { position, direction, beam_degrees, cutoff_degrees, falloff } = spot.kind else {
+        panic!("{spot:?}")
+    };
+    assert_eq!((position, cutoff_degrees, beam_degrees, falloff), (DVec3::Y, 40.0, 30.0, Falloff::Linear));
+    assert!(direction.distance(DVec3::NEG_Y) < 1e-15, "{direction}");
+    let DeltaKind::Directional { direction } = sun.kind else { panic!("{sun:?}") };
+    assert!(direction.distance(DVec3::new(0.6, -0.8, 0.0)) < 1e-15 && sun.intensity == DVec3::splat(2.0), "{sun:?}");
     let Some(Environment::Map(map)) = &scene.environment else { panic!("{:?}", scene.environment) };
     assert_eq!((map.scale, map.picture.texels[4]), (0.5, [10.0, 11.0, 12.0]));
     let turned = DMat3::from_cols(DVec3::NEG_Z, DVec3::Y, DVec3::X);
@@ -161,8 +169,8 @@ fn written_scenes_are_read_back() {
     for bsdf in &shapes {
         for emitter in [
             "",
-            r#"<emitter type="constant"/>"#,
-            r#"<emitter type="point"/><emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>"#,
+            r#"<emitter type="constant"/><emitter type="directional"><vector name="direction" x="0" y="-1" z="0"/></emitter>"#,
+            r#"<emitter type="point"/><emitter type="spot"/><emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>"#,
         ] {
             let scene = scene_in(folder.path(), &format!("<shape type=\"sphere\" id=\"s\">{bsdf}</shape>{emitter}"))
                 .expect(bsdf);
@@ -171,8 +179,8 @@ fn written_scenes_are_read_back() {
             assert!(hashes.insert(scene.hash()), "{bsdf} {emitter}");
             assert_eq!(back.hash(), scene.hash(), "{bsdf} {emitter}");
             // Names and paths may differ.
-            back.points.iter_mut().zip(&scene.points).for_each(|(a, b)| a.name.clone_from(&b.name));
-            assert_eq!((back.points, back.camera), (scene.points, scene.camera));
+            back.delta_lights.iter_mut().zip(&scene.delta_lights).for_each(|(a, b)| a.name.clone_from(&b.name));
+            assert_eq!((back.delta_lights, back.camera), (scene.delta_lights, scene.camera));
             assert_eq!(back.shapes[0].bsdf, scene.shapes[0].bsdf);
             assert_eq!(back.shapes[0].two_sided, scene.shapes[0].two_sided);
         }
@@ -223,6 +231,9 @@ fn errors_say_what_is_wrong_and_where() {
             ["position beside to_world", ""],
             r#"<emitter type="point"><point name="position" x="0" y="0" z="0"/><transform name="to_world"/></emitter>"#.into(),
         ),
+        (["direction beside to_world", ""], r#"<emitter type="directional"><vector name="direction" x="0" y="0" z="1"/><transform name="to_world"/></emitter>"#.into()),
+        (["direction has no length", ""], r#"<emitter type="directional"><vector name="direction" x="0" y="0" z="0"/></emitter>"#.into()),
+        (["beam of 15", "under 180"], r#"<emitter type="spot"><float name="cutoff_angle" value="15"/><float name="beam_width" value="15"/></emitter>"#.into()),
         (["radiance [-1.0", ""], r#"<emitter type="point"><float name="intensity" value="-1"/></emitter>"#.into()),
     ] {
         let error = scene_in(folder.path(), &body).expect_err(&body).to_string();

@@ -16,8 +16,26 @@ const uint ALONE = 0u;   // nothing: a camera ray, or a lobe of one direction
 const uint WIDELY = 1u;  // spheres wholly, the rest by the balance heuristic
 const uint GLOSSILY = 2u; // all by the balance heuristic
 
-// The i-th of the lights that are sampled: spheres, rectangles and disks, points; the environment's map comes after them.
-uint light_at(uint i) { return i < SPHERE_LIGHT_COUNT ? i : i < AREA_LIGHT_COUNT ? SPHERE_COUNT + i - SPHERE_LIGHT_COUNT : POINT_FIRST + i - AREA_LIGHT_COUNT; }
+// Kinds of lights that no ray meets (src/scene/light.rs).
+const uint POINT = 0u;
+const uint DIRECTIONAL = 1u;
+const uint SPOT_LINEAR = 2u;
+const uint SPOT_SQUARED = 3u;
+const bool DIRECTIONALS = (DELTA_KINDS & (1u << DIRECTIONAL)) != 0u;
+const bool SPOTS = (DELTA_KINDS >> SPOT_LINEAR) != 0u;
+
+// The part of a spot's intensity that goes in a direction away from it.
+float spot(uint light, uint kind, vec3 away) {
+    vec3 axis = row(light, NORMAL).xyz;
+    vec4 fading = row(light, DUAL_U); // from an angle in parts of a turn, or its cosine, to 0 at the cutoff and 1 at the beam
+    float cosine = dot(away, axis);
+    float x = kind == SPOT_LINEAR ? turn_of(length(cross(away, axis)), cosine) : cosine;
+    float part = clamp(fading.x + fading.y * x, 0.0, 1.0);
+    return kind == SPOT_LINEAR ? part : part * part;
+}
+
+// The i-th of the lights that are sampled: spheres, rectangles and disks, those that no ray meets; the environment's map comes after.
+uint light_at(uint i) { return i < SPHERE_LIGHT_COUNT ? i : i < AREA_LIGHT_COUNT ? SPHERE_COUNT + i - SPHERE_LIGHT_COUNT : DELTA_FIRST + i - AREA_LIGHT_COUNT; }
 
 // Light that reaches the vertex directly from one chosen light, per unit of throughput (albedo excluded).
 vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex, inout uint rays) {
@@ -40,13 +58,14 @@ vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex
     }
     if (light == v.id || share <= 0.0) return vec3(0.0);
     bool mapped = MAP_SAMPLED && light == NONE;
-    bool point = POINT_COUNT > 0u && !mapped && light >= POINT_FIRST;
+    bool delta = DELTA_COUNT > 0u && !mapped && light >= DELTA_FIRST;
     vec4 g = vec4(0.0);
     if (!mapped) g = ONE_LIGHT ? g_light : row(light, GEOMETRY);
     vec3 wi;
     float t_light;
     float weight; // cos / (pi * pdf), with the balance heuristic where a bounce can find the light too
     float pdf_light;
+    float fade = 1.0; // what of a spot's intensity goes this way
     vec3 radiance;
     if (mapped) {
         wi = sample_environment(numbers(sample_index, ENVIRONMENT_DIMENSIONS + vertex), u);
@@ -56,15 +75,22 @@ vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex
         pdf_light = share * seen.w;
         float pdf_bounce = max(0.0, dot(wi, v.n)) / PI;
         weight = pdf_bounce / (pdf_light + pdf_bounce);
-    } else if (point) {
+    } else if (delta) {
+        uint kind = uint(g.w);
         vec3 q = g.xyz - v.p;
         float distance2 = dot(q, q);
         float inverse = inversesqrt(distance2);
         wi = q * inverse;
         t_light = distance2 * inverse;
-        // As if a density of one square unit of distance had been drawn: nothing else finds the point.
+        // As if this were a density: nothing else finds the light.
         pdf_light = share * distance2;
+        if (DIRECTIONALS && kind == DIRECTIONAL) {
+            wi = g.xyz;
+            t_light = 1e30;
+            pdf_light = share;
+        }
         weight = max(0.0, dot(wi, v.n)) / (PI * pdf_light);
+        if (SPOTS && kind >= SPOT_LINEAR) fade = spot(light, kind, -wi);
     } else if (RECT_LIGHT_COUNT == 0u || (SPHERE_LIGHT_COUNT > 0u && light < SPHERE_LIGHT_COUNT)) {
         vec3 to_center = g.xyz - v.p;
         float distance2 = dot(to_center, to_center);
@@ -91,11 +117,11 @@ vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex
         float pdf_bounce = max(0.0, dot(wi, v.n)) / PI;
         weight = pdf_bounce / (pdf_light + pdf_bounce);
     }
-    if (!(weight > 0.0)) return vec3(0.0);
+    if (!(weight > 0.0) || SPOTS && !(fade > 0.0)) return vec3(0.0);
     vec3 weights = vec3(weight);
     if (BSDFS && v.kind != DIFFUSE) {
         Response r = respond(v, wi);
-        bool weighed = !point && (v.kind == ROUGH_CONDUCTOR || mapped || light >= SPHERE_COUNT);
+        bool weighed = !delta && (v.kind == ROUGH_CONDUCTOR || mapped || light >= SPHERE_COUNT);
         weights = r.value / (pdf_light + (weighed ? r.pdf : 0.0));
         if (!(max(weights.r, max(weights.g, weights.b)) > 0.0)) return vec3(0.0);
     }
@@ -104,6 +130,7 @@ vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex
     uint receiver = HOLLOW && v.back && is_sphere(v.id) ? NONE : v.id;
     if (occluded(v.p, wi, t_light, receiver, light)) return vec3(0.0);
     if (!mapped) radiance = ONE_LIGHT ? g_light_radiance : row(light, RADIANCE).rgb;
+    if (SPOTS) radiance *= fade;
     return weights * radiance;
 }
 

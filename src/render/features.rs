@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::pack::{Frame, order};
 use super::settings::{Estimator, Sampler, Settings};
 use crate::named::named;
-use crate::scene::{Bsdf, Environment, Geometry, Scene, Shape, Texture};
+use crate::scene::{Bsdf, DeltaKind, DeltaLight, Environment, Falloff, Geometry, Scene, Shape, Texture};
 use crate::shaders;
 
 /// Up to this many spheres and as many rectangles are held in registers and tested without a loop.
@@ -42,8 +42,10 @@ pub struct Features {
     pub materials: u32,
     /// A surface scatters on both sides.
     pub two_sided: bool,
-    /// Points that emit.
-    pub point_count: u32,
+    /// Lights that no ray meets.
+    pub delta_count: u32,
+    /// One bit a kind of them, as [`delta_kind`] counts them.
+    pub delta_kinds: u32,
     /// What surrounds the scene: 0 nothing, 1 the same radiance from everywhere, 2 a map.
     pub environment: u32,
     /// Few primitives: all in registers.
@@ -160,7 +162,12 @@ impl Features {
             bitmaps: shapes.iter().any(|s| matches!(s.texture, Some(Texture::Bitmap(_)))),
             materials: shapes.iter().map(|s| 1 << material_kind(&s.bsdf)).fold(0, |all, bit| all | bit) & ALL_MATERIALS,
             two_sided: shapes.iter().any(|s| s.two_sided),
-            point_count: scene.points.len() as u32,
+            delta_count: scene.delta_lights.len() as u32,
+            delta_kinds: scene
+                .delta_lights
+                .iter()
+                .map(|light| 1 << delta_kind(&light.kind))
+                .fold(0, |all, bit| all | bit),
             environment: match scene.environment {
                 None => 0,
                 Some(Environment::Constant(_)) => 1,
@@ -196,7 +203,8 @@ impl Features {
             bitmaps: self.bitmaps,
             materials: self.materials,
             two_sided: self.two_sided,
-            point_count: self.point_count,
+            delta_count: self.delta_count,
+            delta_kinds: self.delta_kinds,
             environment: self.environment,
             preload: self.preload,
             camera_inside: self.camera_inside,
@@ -229,7 +237,7 @@ impl Features {
 
     fn sampled_lights(&self) -> u32 {
         let map = u32::from(self.environment == 2);
-        self.sphere_light_count + self.rect_light_count + self.point_count + map
+        self.sphere_light_count + self.rect_light_count + self.delta_count + map
     }
 
     /// What this scene does not need and the pipelines therefore do not have, in words.
@@ -255,7 +263,7 @@ impl Features {
         skip(!self.bitmaps, "pictures on surfaces");
         skip(self.materials == 0, "all materials but diffuse ones");
         skip(!self.two_sided, "reflection on backs");
-        skip(self.point_count == 0, "point lights");
+        skip(self.delta_count == 0, "lights without a surface");
         skip(self.environment == 0, "the environment");
         skip(!self.camera_inside, "far sides of outward spheres");
         skip(self.preload, "primitive loops (all primitives in registers)");
@@ -283,6 +291,16 @@ pub(super) fn material_kind(bsdf: &Bsdf) -> u32 {
         Bsdf::Conductor { roughness: Some(_), .. } => 2,
         Bsdf::Dielectric { .. } => 3,
         Bsdf::Plastic { .. } => 4,
+    }
+}
+
+/// Kinds of lights without a surface as the shader counts them (glsl/lib/lights.glsl).
+pub(super) fn delta_kind(kind: &DeltaKind) -> u32 {
+    match kind {
+        DeltaKind::Point { .. } => 0,
+        DeltaKind::Directional { .. } => 1,
+        DeltaKind::Spot { falloff: Falloff::Linear, .. } => 2,
+        DeltaKind::Spot { falloff: Falloff::Squared, .. } => 3,
     }
 }
 
@@ -332,12 +350,15 @@ fn can_block(flat: &Shape, scene: &Scene, tolerance: f64) -> bool {
     else {
         return true;
     };
-    if matches!(scene.environment, Some(Environment::Map(_))) {
+    let outside = matches!(scene.environment, Some(Environment::Map(_)))
+        || scene.delta_lights.iter().any(|light| light.position().is_none());
+    if outside {
         return true;
     }
     let normal = half_u.cross(half_v).normalize();
     let shapes = scene.shapes.iter().map(|shape| shape.geometry.span(center, normal));
-    let points = scene.points.iter().map(|point| (point.position - center).dot(normal)).map(|d| (d, d));
+    let points = scene.delta_lights.iter().filter_map(DeltaLight::position);
+    let points = points.map(|position| (position - center).dot(normal)).map(|d| (d, d));
     let (low, high) = shapes.chain(points).fold((0.0f64, 0.0f64), |(low, high), (a, b)| (low.min(a), high.max(b)));
     low < -tolerance && high > tolerance
 }

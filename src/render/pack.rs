@@ -6,8 +6,10 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::environment;
-use super::features::{axis_of, emits, is_disk, is_flat, is_inward, material_kind};
-use crate::scene::{Bitmap, Bsdf, Checker, Environment, Geometry, Picture, Scene, Shape, Texture};
+use super::features::{axis_of, delta_kind, emits, is_disk, is_flat, is_inward, material_kind};
+use crate::scene::{
+    Bitmap, Bsdf, Checker, DeltaKind, DeltaLight, Environment, Falloff, Geometry, Picture, Scene, Shape, Texture,
+};
 use crate::{Error, Result};
 
 /// Rows of the camera and of the environment before the first primitive.
@@ -80,20 +82,15 @@ pub(super) fn pack(scene: &Scene, window: Option<FilmWindow>) -> Result<Vec<[f32
     let extent = frame.half_extent * frame.scale;
     let offset = 2e-5 * extent;
     let order = order(scene);
-    let mut rows = Vec::with_capacity(CAMERA_ROWS + PRIMITIVE_ROWS * (order.len() + scene.points.len()).max(1));
+    let mut rows = Vec::with_capacity(CAMERA_ROWS + PRIMITIVE_ROWS * (order.len() + scene.delta_lights.len()).max(1));
     pack_camera(scene, window, &frame, offset, &mut rows);
     rows.resize(CAMERA_ROWS, [0.0; 4]);
     let shares = light_shares(scene, &order, frame.half_extent);
     for (&i, &upper) in order.iter().zip(&shares) {
         pack_shape(&scene.shapes[i], &frame, offset, extent, upper, &mut rows);
     }
-    for (point, &upper) in scene.points.iter().zip(&shares[order.len()..]) {
-        let begin = rows.len();
-        rows.push(row((point.position - frame.center) * frame.scale, 0.0));
-        rows.push([0.0; 4]);
-        // Distances are scaled, and intensity falls with their square.
-        rows.push(row(point.intensity * frame.scale * frame.scale, upper));
-        rows.resize(begin + PRIMITIVE_ROWS, [0.0; 4]);
+    for (light, &upper) in scene.delta_lights.iter().zip(&shares[order.len()..]) {
+        pack_delta(light, &frame, upper, &mut rows);
     }
     rows.resize(rows.len().max(CAMERA_ROWS + PRIMITIVE_ROWS), [0.0; 4]);
     pack_bitmaps(scene, &order, &mut rows);
@@ -115,7 +112,8 @@ pub(super) fn pack(scene: &Scene, window: Option<FilmWindow>) -> Result<Vec<[f32
 /// left to 1 belongs to the environment's map.
 fn light_shares(scene: &Scene, order: &[usize], half_extent: f64) -> Vec<f64> {
     let shapes = order.iter().map(|&i| if sampled(&scene.shapes[i]) { power(&scene.shapes[i]) } else { 0.0 });
-    let powers: Vec<f64> = shapes.chain(scene.points.iter().map(|point| 4.0 * point.intensity.element_sum())).collect();
+    let powers: Vec<f64> =
+        shapes.chain(scene.delta_lights.iter().map(|light| delta_power(light, half_extent))).collect();
     let map = match &scene.environment {
         Some(Environment::Map(map)) => 4.0 * PI * half_extent * half_extent * environment::mean(map).element_sum(),
         _ => 0.0,
@@ -135,6 +133,45 @@ fn light_shares(scene: &Scene, order: &[usize], half_extent: f64) -> Vec<f64> {
         }
     });
     shares.collect()
+}
+
+/// Power in the unit of [`power`]: that over pi.
+fn delta_power(light: &DeltaLight, half_extent: f64) -> f64 {
+    let solid_angle = match light.kind {
+        DeltaKind::Point { .. } => 4.0 * PI,
+        DeltaKind::Spot { cutoff_degrees, .. } => 2.0 * PI * (1.0 - cutoff_degrees.to_radians().cos()),
+        // What falls on the scene's cross section.
+        DeltaKind::Directional { .. } => PI * half_extent * half_extent,
+    };
+    light.intensity.element_sum() * solid_angle / PI
+}
+
+/// Rows as of a primitive: place and kind; radiance; a spot's axis; what its fading is linear in.
+fn pack_delta(light: &DeltaLight, frame: &Frame, upper: f64, rows: &mut Vec<[f32; 4]>) {
+    let begin = rows.len();
+    let kind = f64::from(delta_kind(&light.kind));
+    // Distances are scaled, and intensity falls with their square.
+    let (place, scale) = match light.kind {
+        DeltaKind::Point { position } | DeltaKind::Spot { position, .. } => {
+            ((position - frame.center) * frame.scale, frame.scale * frame.scale)
+        }
+        DeltaKind::Directional { direction } => (-direction, 1.0),
+    };
+    rows.extend([row(place, kind), [0.0; 4], row(light.intensity * scale, upper)]);
+    if let DeltaKind::Spot { direction, beam_degrees, cutoff_degrees, falloff, .. } = light.kind {
+        let fading = match falloff {
+            // In parts of a turn.
+            Falloff::Linear => {
+                [cutoff_degrees / (cutoff_degrees - beam_degrees), -360.0 / (cutoff_degrees - beam_degrees)]
+            }
+            Falloff::Squared => {
+                let [beam, cutoff] = [beam_degrees, cutoff_degrees].map(|angle| angle.to_radians().cos());
+                [-cutoff / (beam - cutoff), 1.0 / (beam - cutoff)]
+            }
+        };
+        rows.extend([row(direction, 0.0), row(DVec3::new(fading[0], fading[1], 0.0), 0.0)]);
+    }
+    rows.resize(begin + PRIMITIVE_ROWS, [0.0; 4]);
 }
 
 /// The texels of each picture once, and in the rows of the shapes where they are.

@@ -103,9 +103,9 @@ impl Settings {
         if self.bounces > Self::MAX_BOUNCES {
             return Err(Error::input(format!("{} bounces: at most {}", self.bounces, Self::MAX_BOUNCES)));
         }
-        if !scene.points.is_empty() && self.estimator != Estimator::Nee {
+        if !scene.delta_lights.is_empty() && self.estimator != Estimator::Nee {
             return Err(Error::input(format!(
-                "the estimator {} meets lights by chance, and nothing meets a point light: use nee",
+                "the estimator {} meets lights by chance, and nothing meets a light without a surface: use nee",
                 self.estimator.name()
             )));
         }

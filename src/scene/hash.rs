@@ -1,7 +1,7 @@
 //! A short fingerprint of a scene.
 
 use super::math::positive_zero;
-use super::{Bsdf, Environment, Geometry, Picture, Scene, Shape, Texture};
+use super::{Bsdf, DeltaKind, Environment, Geometry, Picture, Scene, Shape, Texture};
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
@@ -40,9 +40,24 @@ impl Scene {
             vectors(&mut state, &[shape.albedo, shape.radiance]);
             material(&mut state, shape);
         }
-        for point in &self.points {
-            state.update(b"point");
-            vectors(&mut state, &[point.position, point.intensity]);
+        for light in &self.delta_lights {
+            vectors(&mut state, &[light.intensity]);
+            match light.kind {
+                DeltaKind::Point { position } => {
+                    state.update(b"point");
+                    vectors(&mut state, &[position]);
+                }
+                DeltaKind::Spot { position, direction, beam_degrees, cutoff_degrees, falloff } => {
+                    state.update(b"spot");
+                    state.update([falloff as u8]);
+                    vectors(&mut state, &[position, direction]);
+                    numbers(&mut state, &[beam_degrees, cutoff_degrees]);
+                }
+                DeltaKind::Directional { direction } => {
+                    state.update(b"directional");
+                    vectors(&mut state, &[direction]);
+                }
+            }
         }
         match &self.environment {
             None => {}

@@ -1,4 +1,4 @@
-//! Lights without a surface: points, and what surrounds the scene.
+//! Lights without a surface: points, directions, and what surrounds the scene.
 
 use super::material::Picture;
 use super::validate::{SHEAR_TOLERANCE, check_point, check_radiance};
@@ -6,15 +6,52 @@ use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
 
-/// A point that emits alike in all directions, as Mitsuba's `point`.
+/// A light that no ray meets: it comes from one point or one direction.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PointLight {
+pub struct DeltaLight {
     /// Name for messages.
     pub name: String,
-    /// Where it is, world space.
-    pub position: DVec3,
-    /// Radiant intensity, linear RGB, power per unit solid angle.
+    /// Radiant intensity, linear RGB, power per unit solid angle; of [`DeltaKind::Directional`] the irradiance of a surface that faces it.
     pub intensity: DVec3,
+    /// Where it is and where it shines.
+    pub kind: DeltaKind,
+}
+
+/// Where a light without a surface is and where it shines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum DeltaKind {
+    /// In all directions alike, as Mitsuba's `point`.
+    Point {
+        /// World space.
+        position: DVec3,
+    },
+    /// In a cone, as Mitsuba's `spot`.
+    Spot {
+        /// World space.
+        position: DVec3,
+        /// The cone's axis, away from the light, unit length.
+        direction: DVec3,
+        /// Angle from the axis up to which it has its full intensity.
+        beam_degrees: f64,
+        /// Angle from the axis beyond which it has none, above `beam_degrees` and under 180.
+        cutoff_degrees: f64,
+        /// What lies between the two.
+        falloff: Falloff,
+    },
+    /// From far away, as Mitsuba's `directional`.
+    Directional {
+        /// Where its light goes, unit length.
+        direction: DVec3,
+    },
+}
+
+/// How a spot light fades between its two angles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Falloff {
+    /// Linearly in the angle, as in Mitsuba.
+    Linear,
+    /// By the square of what is linear in the cosine, as in glTF (`KHR_lights_punctual`).
+    Squared,
 }
 
 /// What a ray meets that leaves the scene.
@@ -39,10 +76,37 @@ pub struct EnvironmentMap {
     pub to_world: DMat3,
 }
 
-impl PointLight {
+impl DeltaLight {
     /// Refuses what cannot be rendered.
     pub fn validate(&self) -> Result<()> {
-        check_point("position", self.position)?;
+        let (DeltaKind::Spot { direction, .. } | DeltaKind::Directional { direction }) = self.kind else {
+            return self.check_position();
+        };
+        if (direction.length() - 1.0).abs() > SHEAR_TOLERANCE || !direction.is_finite() {
+            return Err(Error::input(format!("direction {direction}; it must have length 1")));
+        }
+        if let DeltaKind::Spot { beam_degrees, cutoff_degrees, .. } = self.kind
+            && !(0.0 <= beam_degrees && beam_degrees < cutoff_degrees && cutoff_degrees < 180.0)
+        {
+            return Err(Error::input(format!(
+                "spot light: beam of {beam_degrees} and cutoff of {cutoff_degrees} degrees; the beam must be narrower than the \
+                 cutoff, and that under 180"
+            )));
+        }
+        self.check_position()
+    }
+
+    /// Where it is; none at infinity.
+    #[must_use]
+    pub fn position(&self) -> Option<DVec3> {
+        match self.kind {
+            DeltaKind::Point { position } | DeltaKind::Spot { position, .. } => Some(position),
+            DeltaKind::Directional { .. } => None,
+        }
+    }
+
+    fn check_position(&self) -> Result<()> {
+        self.position().map_or(Ok(()), |position| check_point("position", position))?;
         check_radiance(self.intensity)
     }
 }

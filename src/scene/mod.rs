@@ -11,7 +11,7 @@ pub mod rooms;
 mod spec;
 pub mod validate;
 
-pub use light::{Environment, EnvironmentMap, PointLight};
+pub use light::{DeltaKind, DeltaLight, Environment, EnvironmentMap, Falloff};
 pub use material::{Bitmap, Bsdf, Checker, Filter, IOR_RANGE, MIN_ROUGHNESS, Picture, Texture, Wrap};
 pub use spec::{Loaded, Spec};
 
@@ -154,25 +154,25 @@ pub struct Scene {
     pub camera: Camera,
     /// All shapes, lights included.
     pub shapes: Vec<Shape>,
-    /// Lights without a surface.
-    pub points: Vec<PointLight>,
+    /// Lights that no ray meets.
+    pub delta_lights: Vec<DeltaLight>,
     /// What surrounds everything; none is black.
     pub environment: Option<Environment>,
 }
 
 impl Scene {
-    /// A scene without points that emit, in the dark.
+    /// A scene whose only lights are shapes.
     #[must_use]
     pub fn new(camera: Camera, shapes: Vec<Shape>) -> Self {
-        Self { camera, shapes, points: Vec::new(), environment: None }
+        Self { camera, shapes, delta_lights: Vec::new(), environment: None }
     }
 
     /// The largest radiance or intensity of any light.
     #[must_use]
     pub fn max_radiance(&self) -> f64 {
         let shapes = self.shapes.iter().map(|shape| shape.radiance.max_element());
-        let points = self.points.iter().map(|point| point.intensity.max_element());
-        shapes.chain(points).chain(self.environment.as_ref().map(Environment::max_radiance)).fold(0.0, f64::max)
+        let deltas = self.delta_lights.iter().map(|light| light.intensity.max_element());
+        shapes.chain(deltas).chain(self.environment.as_ref().map(Environment::max_radiance)).fold(0.0, f64::max)
     }
 }
 

@@ -25,8 +25,8 @@ impl Scene {
         self.shapes.iter().enumerate().try_for_each(|(i, shape)| {
             shape.validate().map_err(|error| Error::input(format!("shape {} '{}': {error}", i + 1, shape.name)))
         })?;
-        self.points.iter().try_for_each(|point| {
-            point.validate().map_err(|error| Error::input(format!("point light '{}': {error}", point.name)))
+        self.delta_lights.iter().try_for_each(|light| {
+            light.validate().map_err(|error| Error::input(format!("light '{}': {error}", light.name)))
         })?;
         self.environment.as_ref().map_or(Ok(()), Environment::validate)
     }

@@ -6,7 +6,7 @@ use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::metrics::different_values;
 use crate::render::{Estimator, Renderer, Sampler, Settings};
-use crate::scene::{Bsdf, Camera, Geometry, Scene, Shape, family};
+use crate::scene::{Bsdf, Camera, DeltaKind, Geometry, Scene, Shape, family};
 use crate::{Error, Result};
 use glam::{DMat4, DVec3};
 
@@ -95,14 +95,16 @@ pub fn cornell(size: u32) -> Scene {
     scene
 }
 
-/// The scene with every length times `scale`, then moved by `shift`; point lights keep the light that they throw on it.
+/// The scene with every length times `scale`, then moved by `shift`; lights without a surface keep the light that they throw on it.
 #[must_use]
 pub fn placed(mut scene: Scene, scale: f64, shift: DVec3) -> Scene {
     let m = &mut scene.camera.to_world;
     *m = DMat4::from_cols(m.x_axis, m.y_axis, m.z_axis, (m.w_axis.truncate() * scale + shift).extend(1.0));
-    for point in &mut scene.points {
-        point.position = point.position * scale + shift;
-        point.intensity *= scale * scale;
+    for light in &mut scene.delta_lights {
+        if let DeltaKind::Point { position } | DeltaKind::Spot { position, .. } = &mut light.kind {
+            *position = *position * scale + shift;
+            light.intensity *= scale * scale;
+        }
     }
     for shape in &mut scene.shapes {
         match &mut shape.geometry {

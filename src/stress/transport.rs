@@ -6,7 +6,7 @@ use crate::Result;
 use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::render::{Estimator, Renderer, Sampler, Settings};
-use crate::scene::{PointLight, Scene};
+use crate::scene::{DeltaKind, DeltaLight, Scene};
 use glam::DVec3;
 use std::f64::consts::PI;
 
@@ -144,7 +144,8 @@ fn point_in_a_sphere(gpu: &Gpu) -> Result<Outcome> {
     for scale in [1e-6, 1.0, 1e6] {
         let camera = look(DVec3::new(0.3, 0.1, 0.0), DVec3::X, 80.0, 32, 32);
         let mut scene = Scene::new(camera, vec![cavity(1.0, 0.5, 0.0)]);
-        scene.points.push(PointLight { name: "bulb".into(), position: DVec3::ZERO, intensity: DVec3::splat(PI) });
+        let kind = DeltaKind::Point { position: DVec3::ZERO };
+        scene.delta_lights.push(DeltaLight { name: "bulb".into(), intensity: DVec3::splat(PI), kind });
         let scene = placed(scene, scale, DVec3::ZERO);
         for bounces in [1, 2, 4, 8] {
             let exact = 1.0 - 0.5f64.powi(bounces);

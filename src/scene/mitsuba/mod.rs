@@ -1,9 +1,10 @@
 //! Mitsuba 3 XML: the subset that limpid renders, read and written.
 //!
 //! Read are: `sphere` (`center`, `radius`, `to_world` with uniform scale), `rectangle`, `disk` and `cube` (`to_world`
-//! without shear), each with `flip_normals` where it makes sense; `diffuse` with `reflectance` as `rgb`, as one `float` or
-//! as a `checkerboard`, nested or by `ref`; `area` emitters with `radiance` as `rgb` or `float`; one `perspective` or
-//! `thinlens` sensor (`fov`, `fov_axis`, `to_world`; `aperture_radius`, `focus_distance`) with an `hdrfilm` (`width`, `height`, `box` filter) and a `sampler` (`sample_count`); the
+//! without shear), each with `flip_normals` where it makes sense; the bsdfs `diffuse`, `conductor`, `roughconductor` (`ggx`,
+//! one `alpha`), `dielectric`, `plastic` and `twosided` with one bsdf; colours as `rgb` or one `float`, the diffuse ones also as a
+//! `checkerboard` or a `bitmap` (EXR, PNG, JPEG), each nested or by `ref`; the emitters `area`, `point`, `spot`, `directional`, `constant` and
+//! `envmap`; one `perspective` or `thinlens` sensor (`fov`, `fov_axis`, `to_world`; `aperture_radius`, `focus_distance`) with an `hdrfilm` (`width`, `height`, `box` filter) and a `sampler` (`sample_count`); the
 //! `path` integrator (`max_depth`); transforms of `lookat`, `rotate`, `translate`, `scale` and `matrix`; `default` and
 //! `$name`; `include` of scene files, below `<scene>`. `near_clip`, `far_clip`, `rr_depth`, the sampler's kind and seed and
 //! the film's file format make no difference and are passed over. Defaults are Mitsuba's (a missing material is grey 0.5, of an emitter black).

@@ -155,10 +155,18 @@ impl<'a> Object<'a> {
     }
 
     pub fn point(&mut self, name: &'static str) -> Result<Option<DVec3>> {
-        let Some(property) = self.take(name, &["point"])? else { return Ok(None) };
+        self.three(name, "point")
+    }
+
+    pub fn vector(&mut self, name: &'static str) -> Result<Option<DVec3>> {
+        self.three(name, "vector")
+    }
+
+    fn three(&mut self, name: &'static str, tag: &str) -> Result<Option<DVec3>> {
+        let Some(property) = self.take(name, &[tag])? else { return Ok(None) };
         property.no_children()?;
         property.only_attributes(&["name", "value", "x", "y", "z"])?;
-        // As in Mitsuba, no coordinate of a point may be left out.
+        // As in Mitsuba, no coordinate may be left out.
         if property.attribute("value")?.is_none() {
             ["x", "y", "z"].into_iter().try_for_each(|name| property.required(name).map(drop))?;
         }

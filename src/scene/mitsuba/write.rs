@@ -2,7 +2,7 @@
 
 use super::transform::swap_camera_convention;
 use crate::scene::{
-    Bitmap, Bsdf, Checker, Environment, Filter, Geometry, Picture, PointLight, Scene, Shape, Texture, Wrap,
+    Bitmap, Bsdf, Checker, DeltaKind, DeltaLight, Environment, Filter, Geometry, Picture, Scene, Shape, Texture, Wrap,
 };
 use glam::{DMat4, DVec3, DVec4};
 use std::collections::BTreeSet;
@@ -43,7 +43,7 @@ pub fn write(scene: &Scene) -> String {
     line(&mut xml, "  </sensor>");
     let mut ids = BTreeSet::new();
     scene.shapes.iter().for_each(|shape| write_shape(&mut xml, shape, &mut ids));
-    scene.points.iter().for_each(|point| write_point(&mut xml, point, &mut ids));
+    scene.delta_lights.iter().for_each(|light| write_delta(&mut xml, light, &mut ids));
     scene.environment.iter().for_each(|environment| write_environment(&mut xml, environment));
     xml + "</scene>\n"
 }
@@ -57,8 +57,7 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
     line(xml, &format!("  <shape type=\"{kind}\" id=\"{}\">", unique_id(&shape.name, kind, ids)));
     match shape.geometry {
         Geometry::Sphere { center, radius, inward } => {
-            let [x, y, z] = center.to_array();
-            line(xml, &format!("    <point name=\"center\" x=\"{x:?}\" y=\"{y:?}\" z=\"{z:?}\"/>"));
+            line(xml, &format!("    {}", triple("point", "center", center)));
             line(xml, &format!("    {}", float("radius", radius)));
             if inward {
                 line(xml, "    <boolean name=\"flip_normals\" value=\"true\"/>");
@@ -161,16 +160,25 @@ fn bitmap(name: &str, map: &Bitmap) -> String {
     )
 }
 
-fn write_point(xml: &mut String, point: &PointLight, ids: &mut BTreeSet<String>) {
-    let [x, y, z] = point.position.to_array();
-    let id = unique_id(&point.name, "point", ids);
-    line(
-        xml,
-        &format!(
-            "  <emitter type=\"point\" id=\"{id}\"><point name=\"position\" x=\"{x:?}\" y=\"{y:?}\" z=\"{z:?}\"/>{}</emitter>",
-            rgb("intensity", point.intensity)
-        ),
-    );
+/// The fading of glTF's spot lights, which Mitsuba does not have, becomes Mitsuba's.
+fn write_delta(xml: &mut String, light: &DeltaLight, ids: &mut BTreeSet<String>) {
+    let (kind, color, place) = match light.kind {
+        DeltaKind::Point { position } => ("point", "intensity", triple("point", "position", position)),
+        DeltaKind::Spot { position, direction, beam_degrees, cutoff_degrees, .. } => {
+            let (x, y) = direction.any_orthonormal_pair();
+            let matrix = DMat4::from_cols(x.extend(0.0), y.extend(0.0), direction.extend(0.0), position.extend(1.0));
+            let angles = float("cutoff_angle", cutoff_degrees) + &float("beam_width", beam_degrees);
+            ("spot", "intensity", to_world(matrix) + &angles)
+        }
+        DeltaKind::Directional { direction } => ("directional", "irradiance", triple("vector", "direction", direction)),
+    };
+    let id = unique_id(&light.name, kind, ids);
+    line(xml, &format!("  <emitter type=\"{kind}\" id=\"{id}\">{place}{}</emitter>", rgb(color, light.intensity)));
+}
+
+fn triple(tag: &str, name: &str, v: DVec3) -> String {
+    let [x, y, z] = v.to_array();
+    format!("<{tag} name=\"{name}\" x=\"{x:?}\" y=\"{y:?}\" z=\"{z:?}\"/>")
 }
 
 fn write_environment(xml: &mut String, environment: &Environment) {
