@@ -19,6 +19,11 @@ pub fn srgb_encode(linear: f32) -> f32 {
     display as f32
 }
 
+/// The other way: display value to linear light (IEC 61966-2-1).
+pub fn srgb_decode(display: f32) -> f32 {
+    if display <= 0.04045 { display / 12.92 } else { ((display + 0.055) / 1.055).powf(2.4) }
+}
+
 /// Linear planes as interleaved 8-bit sRGB, three bytes a pixel. `exposure_ev` scales light by `2^exposure_ev`.
 pub fn to_srgb8(rgb: Rgb, exposure_ev: f32) -> Vec<u8> {
     let scale = exposure_ev.exp2();

@@ -1,6 +1,6 @@
 //! Pictures beside the scene: EXR, PNG and JPEG.
 
-use crate::image::{check_size, exr};
+use crate::image::{check_size, exr, png::srgb_decode};
 use crate::scene::Picture;
 use crate::{Error, Result};
 use std::path::Path;
@@ -47,9 +47,4 @@ fn read_integers(path: &Path, raw: bool) -> Result<Picture> {
     let linear = |v: f32| if raw { v } else { srgb_decode(v) };
     let texels = decoded.to_rgb32f().pixels().map(|pixel| pixel.0.map(linear)).collect();
     Ok(Picture { path: path.to_owned(), raw, width, height, texels })
-}
-
-/// IEC 61966-2-1.
-fn srgb_decode(encoded: f32) -> f32 {
-    if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
 }
