@@ -426,6 +426,11 @@ fn backs_that_reflect() {
     let panel = Shape { two_sided: true, ..rectangle(DVec3::ZERO, y, x, 0.0, 7.0) };
     let scene = Scene::new(look(DVec3::Z * 3.0, DVec3::ZERO, 30.0, 8, 8), vec![panel]);
     assert!(green(&gpu, &scene, &settings(1, 1, (Estimator::Nee, Sampler::Sobol))).iter().all(|v| *v == 0.0));
+    // Light outside a sphere does not reach its inside.
+    let shell = Shape { two_sided: true, ..sphere([0.0; 3], 1.0, 0.5, 0.0) };
+    let shapes = vec![shell, sphere([3.0, 1.0, 0.0], 1.0, 0.0, 9.0)];
+    let scene = Scene::new(look(DVec3::X * 0.2, DVec3::Z, 60.0, 16, 16), shapes);
+    assert!(green(&gpu, &scene, &settings(8, 4, (Estimator::Nee, Sampler::Sobol))).iter().all(|v| *v == 0.0));
     // The inside of a sphere that has two sides reflects as an inward one does.
     let furnace = |shape: Shape, two_sided| {
         let scene = Scene::new(
