@@ -6,7 +6,7 @@
 #include "lib/random.glsl"
 #include "lib/sampling.glsl"
 
-layout(local_size_x = 8, local_size_y = 8) in;
+layout(local_size_x = 16, local_size_y = 4) in;
 
 // What the scene and the settings need; the rest does not exist in the pipeline (src/render/features.rs).
 layout(constant_id = 0) const uint SPHERE_COUNT = 5;
@@ -39,6 +39,11 @@ layout(constant_id = 25) const uint DELTA_COUNT = 0;       // lights that no ray
 layout(constant_id = 27) const uint DELTA_KINDS = 0;       // one bit a kind of them (lib/lights.glsl)
 layout(constant_id = 26) const uint ENVIRONMENT = 0;       // what is around the scene (lib/environment.glsl)
 
+layout(constant_id = 30) const uint MESH_COUNT = 0;        // meshes share one tree of triangles
+layout(constant_id = 31) const uint MESH_LIGHT_COUNT = 0;  // the first meshes
+layout(constant_id = 32) const bool MESH_SMOOTH = false;   // a mesh has vertex normals
+layout(constant_id = 33) const bool LOOPS_END = false;     // the driver ends a run's loops after so many rounds
+
 const uint ESTIMATOR_UNIFORM = 0u;
 const uint ESTIMATOR_COSINE = 1u;
 const uint ESTIMATOR_NEE = 2u;
@@ -59,6 +64,9 @@ layout(set = 0, binding = 7, std430) buffer Batch { vec4 batch[]; };
 // Sum of the even samples less that of the odd ones.
 layout(set = 0, binding = 8, std430) buffer Difference { vec4 difference[]; };
 
+// With triangles: set where a pixel has not all its samples yet.
+layout(set = 0, binding = 15, std430) buffer Unfinished { uint unfinished[]; };
+
 layout(push_constant) uniform Push {
     uint width;
     uint height;
@@ -70,22 +78,24 @@ layout(push_constant) uniform Push {
     uint seed;
     uint batch_size;
     uint write_aov;
+    uint loop_rounds; // two
 };
 
 const uint BLOCK_SIZE = 64u;
 const uint ROULETTE_DIMENSIONS = 2048u; // beyond those of the choice of lights
 const uint ENVIRONMENT_DIMENSIONS = 4096u; // four more numbers for a direction of the environment's map
-const uint AREA_LIGHT_COUNT = SPHERE_LIGHT_COUNT + RECT_LIGHT_COUNT;
+const uint AREA_LIGHT_COUNT = SPHERE_LIGHT_COUNT + RECT_LIGHT_COUNT + MESH_LIGHT_COUNT;
 const bool MAP_SAMPLED = ENVIRONMENT == 2u;
 // Lights that are sampled: the rest surrounds its receivers and is left to the bounces.
 const uint LIGHT_COUNT = AREA_LIGHT_COUNT + DELTA_COUNT + (MAP_SAMPLED ? 1u : 0u);
 const bool NEE = ESTIMATOR == ESTIMATOR_NEE && LIGHT_COUNT > 0u;
 // Does a ray after the last reflection's light sample still find light?
-const bool LAST_RAY = !NEE || RECT_LIGHT_COUNT > 0u || INWARD_LIGHT_COUNT > 0u || ENVIRONMENT != 0u || MATERIALS != 0u;
+const bool LAST_RAY = !NEE || RECT_LIGHT_COUNT > 0u || MESH_LIGHT_COUNT > 0u || INWARD_LIGHT_COUNT > 0u || ENVIRONMENT != 0u || MATERIALS != 0u;
 const bool LIT = AREA_LIGHT_COUNT + INWARD_LIGHT_COUNT > 0u;
 const bool ONE_LIGHT = AREA_LIGHT_COUNT + INWARD_LIGHT_COUNT == 1u && DELTA_COUNT == 0u && !MAP_SAMPLED;
-const uint DELTA_FIRST = SPHERE_COUNT + RECT_COUNT;
-const uint ONE_LIGHT_ID = SPHERE_LIGHT_COUNT > 0u ? 0u : INWARD_LIGHT_COUNT > 0u ? INWARD_FIRST : SPHERE_COUNT;
+const uint DELTA_FIRST = SPHERE_COUNT + RECT_COUNT + MESH_COUNT;
+const uint ONE_LIGHT_ID = SPHERE_LIGHT_COUNT > 0u ? 0u : INWARD_LIGHT_COUNT > 0u ? INWARD_FIRST
+    : RECT_LIGHT_COUNT > 0u ? SPHERE_COUNT : SPHERE_COUNT + RECT_COUNT;
 // All rectangles across an axis?
 const uint AXIS_BITS = RECT_COUNT >= 16u ? 0x55555555u : ((1u << (2u * RECT_COUNT)) - 1u) & 0x55555555u;
 const bool ALIGNED = PRELOAD && ((RECT_AXES | (RECT_AXES >> 1u)) & AXIS_BITS) == AXIS_BITS;
@@ -161,7 +171,7 @@ Bounce sample_bounce(Vertex v, vec2 u) {
     bool inside = v.back; // goes on behind the surface's own front
     if (CONDUCTORS && v.kind == CONDUCTOR) {
         b.d = 2.0 * cos_o * v.n - v.wo;
-        b.weight = fresnel_conductor(cos_o, row(v.id, MATERIAL_A).rgb, row(v.id, MATERIAL_B).rgb);
+        b.weight = fresnel_conductor(cos_o, row(surface_of(v), MATERIAL_A).rgb, row(surface_of(v), MATERIAL_B).rgb);
         b.chosen = ALONE;
     } else if (ROUGH_CONDUCTORS && v.kind == ROUGH_CONDUCTOR) {
         vec3 m = sample_ggx_visible(v.n, v.wo, v.roughness, u);
@@ -177,7 +187,7 @@ Bounce sample_bounce(Vertex v, vec2 u) {
         b.d = reflects ? 2.0 * cos_o * v.n - v.wo : (cos_o / eta - cos_t) * v.n - v.wo / eta;
         b.d = normalize(b.d);
         b.squeeze = reflects ? 1.0 : 1.0 / (eta * eta);
-        b.weight = row(v.id, reflects ? MATERIAL_A : MATERIAL_B).rgb * b.squeeze;
+        b.weight = row(surface_of(v), reflects ? MATERIAL_A : MATERIAL_B).rgb * b.squeeze;
         if (!reflects) {
             // From the other side of the surface, as far off it. The albedo is what it reflects.
             b.o = v.p - 2.0 * g_offset * v.n;
@@ -205,12 +215,20 @@ Bounce sample_bounce(Vertex v, vec2 u) {
     }
     // The inside of a sphere sees the sphere itself.
     if (HOLLOW && inside && is_sphere(v.id)) b.skip = NONE;
+    if (MESH_SMOOTH) b.o = origin_of(v, b.d);
     return b;
 }
 
 // Screen-space normal (x right, y up, of the side that faces the camera), depth along the ray, hit.
 vec4 screen_values(vec3 n, float t) {
     return vec4(dot(n, g_right_unit), dot(n, g_up_unit), t * g_depth_scale, 1.0);
+}
+
+// A driver that has ended a loop early lets no other loop go round either. The compiler does not know the push constant.
+bool loops_go_on() {
+    uint rounds = 0u;
+    while (rounds < loop_rounds) rounds += 1u;
+    return rounds == loop_rounds;
 }
 
 void main() {
@@ -224,15 +242,19 @@ void main() {
     vec4 origin = imageLoad(scene, 0); // w: how far a ray starts off its surface
     g_offset = origin.w;
 
-    uint sample_index = sample_begin;
+    // A driver that ends a run's loops early leaves samples of a scene with triangles for the next run.
+    uint sample_index = TRIANGLES ? max(counts[index].y, sample_begin) : sample_begin;
+    uint first_sample = sample_index;
     uint depth = 0u; // reflections before the current ray
     float pdf = 0.0; // of the current ray's direction
     uint chosen = ALONE, skip = NONE; // how that was chosen, and what the ray cannot hit
     float squeezed = 1.0; // radiance by the refractions so far
-    uint rays = 0u, bad = 0u, inexact = 0u;
+    uint rays = 0u, bad = 0u, inexact = 0u, sample_inexact = 0u;
     vec3 radiance = vec3(0.0), throughput = vec3(1.0), first_radiance = vec3(0.0);
     vec3 sum_albedo = vec3(0.0), sum_normal = vec3(0.0);
     vec4 sum_screen = vec4(0.0);
+    vec3 sample_albedo = vec3(0.0), sample_normal = vec3(0.0);
+    vec4 sample_screen = vec4(0.0);
     vec3 o = origin.xyz, d = vec3(0.0);
     bool at_vertex = false, has_ray = false; // neither: a camera ray comes next
     Vertex vertex, first;
@@ -247,6 +269,10 @@ void main() {
         d = camera_ray(vec2(pixel) + 0.5, vec2(0.0), o);
         float t = 1e30;
         uint id = closest_hit(o, d, NONE, t);
+        if (TRIANGLES && LOOPS_END && !loops_go_on()) {
+            unfinished[0] = 1u;
+            return;
+        }
         rays += 1u;
         bool exact = true;
         if (id != NONE) {
@@ -295,7 +321,7 @@ void main() {
             has_ray = true;
         } else {
             if (NEE && scatters_widely(vertex)) {
-                float choice = LIGHT_COUNT > 1u ? number(sample_index, depth + 1u) : 0.0;
+                float choice = LIGHT_COUNT > 1u || MESH_LIGHT_COUNT > 0u ? number(sample_index, depth + 1u) : 0.0;
                 radiance += throughput * sample_light(vertex, u.zw, choice, sample_index, depth + 1u, rays);
             }
             at_vertex = false;
@@ -331,13 +357,13 @@ void main() {
                 if (!vertex.front) vertex.albedo = vec3(0.0);
                 if (AOVS && camera) {
                     vec3 n = vertex.front ? vertex.n : -vertex.n;
-                    sum_albedo += shown_albedo(vertex);
-                    sum_normal += n;
-                    sum_screen += screen_values(n, t);
+                    sample_albedo = shown_albedo(vertex);
+                    sample_normal = n;
+                    sample_screen = screen_values(n, t);
                 }
                 throughput *= vertex.albedo;
                 at_vertex = depth < BOUNCES && vertex.albedo != vec3(0.0);
-                if (camera && at_vertex) inexact += 1u;
+                if (camera && at_vertex) sample_inexact = 1u;
                 if (ROULETTE < BOUNCES && at_vertex && depth >= ROULETTE) {
                     float survival = min(0.95, max(throughput.r, max(throughput.g, throughput.b)) / squeezed);
                     at_vertex = number(sample_index, ROULETTE_DIMENSIONS + depth) < survival;
@@ -347,6 +373,16 @@ void main() {
         }
         if (!at_vertex) {
             // The sample is complete.
+            if (TRIANGLES && LOOPS_END && !loops_go_on()) break; // or cut short: the next run begins it again
+            if (ANTIALIAS) {
+                sum_albedo += sample_albedo;
+                sum_normal += sample_normal;
+                sum_screen += sample_screen;
+                inexact += sample_inexact;
+                sample_albedo = sample_normal = vec3(0.0);
+                sample_screen = vec4(0.0);
+                sample_inexact = 0u;
+            }
             if (invalid(radiance)) {
                 radiance = vec3(0.0);
                 bad += 1u;
@@ -390,7 +426,8 @@ void main() {
 
     total[index] = vec4(sum_total.rgb, 0.0);
     block[index] = vec4(sum_block, 0.0);
-    counts[index] += uvec4(rays, sample_end - sample_begin, bad, inexact);
+    counts[index] += uvec4(rays, sample_index - first_sample, bad, inexact);
+    if (TRIANGLES && sample_index < sample_end) unfinished[0] = 1u; // whoever writes, writes the same
     if (ANTIALIAS && AOVS) {
         aov_albedo[index] = vec4(sum_albedo, 0.0);
         aov_normal[index] = vec4(sum_normal, 0.0);

@@ -75,7 +75,7 @@ fn what_is_in_focus_is_sharp() {
 fn lenses_are_read_written_and_checked() {
     let lens = Lens { aperture_radius: 0.25, focus_distance: 3.5 };
     let scene = edge(Some(lens));
-    let text = mitsuba::write(&scene);
+    let text = mitsuba::write(&scene).unwrap();
     let loaded = mitsuba::load_str(&text, "lens.xml", &mitsuba::Options::default()).expect("load");
     assert_eq!(loaded.scene.camera, scene.camera);
     assert_ne!(scene.hash(), edge(None).hash());

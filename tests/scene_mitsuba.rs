@@ -79,7 +79,7 @@ fn written_scenes_load_bit_for_bit() {
     odd.shapes[0].radiance = DVec3::new(1e-20, 0.1 + 0.2, 1e17);
     let frames = [family::frame(3, 17), family::frame(90_000, 239)];
     for scene in (0..50).map(family::spheres).chain(frames).chain([family::canonical(), odd]) {
-        let xml = mitsuba::write(&scene);
+        let xml = mitsuba::write(&scene).unwrap();
         let loaded = mitsuba::load_str(&xml, "written.xml", &Options::default()).unwrap();
         assert_eq!(loaded.scene, scene);
         assert_eq!(loaded.scene.hash(), scene.hash());
@@ -95,7 +95,7 @@ fn written_names_become_unique_ids() {
     for (shape, name) in scene.shapes.iter_mut().zip(["a", "a", "", "$x <\"&>", "a-2"]) {
         shape.name = name.into();
     }
-    let loaded = mitsuba::load_str(&mitsuba::write(&scene), "w.xml", &Options::default()).unwrap().scene;
+    let loaded = mitsuba::load_str(&mitsuba::write(&scene).unwrap(), "w.xml", &Options::default()).unwrap().scene;
     let names: Vec<_> = loaded.shapes.iter().take(5).map(|shape| shape.name.as_str()).collect();
     assert_eq!(names, ["a", "a-2", "rectangle", "_x_____", "a-2-2"]);
     assert_eq!(loaded.hash(), scene.hash());
@@ -600,7 +600,7 @@ proptest! {
         let text: String = text.into_iter().collect();
         if let Ok(loaded) = mitsuba::load_str(&text, "mutated.xml", &Options::default()) {
             loaded.scene.validate().unwrap();
-            let again = mitsuba::load_str(&mitsuba::write(&loaded.scene), "again.xml", &Options::default()).unwrap();
+            let again = mitsuba::load_str(&mitsuba::write(&loaded.scene).unwrap(), "again.xml", &Options::default()).unwrap();
             prop_assert_eq!(again.scene.hash(), loaded.scene.hash());
         }
     }

@@ -91,7 +91,8 @@ fn the_name_is_parsed_and_written_scenes_load_bit_for_bit() {
     }
     for n in 0..40 {
         let scene = rooms(n);
-        let loaded = mitsuba::load_str(&mitsuba::write(&scene), "rooms.xml", &mitsuba::Options::default()).unwrap();
+        let loaded =
+            mitsuba::load_str(&mitsuba::write(&scene).unwrap(), "rooms.xml", &mitsuba::Options::default()).unwrap();
         assert_eq!(loaded.scene, scene, "rooms:{n}");
     }
 }
@@ -118,6 +119,7 @@ fn reflectance(shape: &Shape, p: DVec3) -> Option<DVec3> {
             );
             DVec2::new(s.length(), (s.y.atan2(s.x) / std::f64::consts::TAU).rem_euclid(1.0))
         }
+        Geometry::Mesh(_) => unreachable!(),
     };
     let cell = (uv * checker.repeats + checker.offset).map(|v| v.rem_euclid(1.0));
     let near = |v: f64| v.min((v - 0.5).abs()).min(1.0 - v) < EDGE * (1.0 + checker.repeats.max_element());
@@ -150,6 +152,7 @@ fn hit(scene: &Scene, camera: &Camera, (i, j): (u32, u32)) -> Option<(DVec3, usi
             let part = |half: DVec3| f.dot(half) / half.length_squared();
             (t > 0.0 && part(half_u).hypot(part(half_v)) <= 1.0).then_some(t)
         }
+        Geometry::Mesh(_) => unreachable!(),
     };
     let hits = scene.shapes.iter().enumerate().filter_map(|(k, shape)| Some((distance(shape)?, k)));
     let (t, k) = hits.min_by(|a, b| a.0.total_cmp(&b.0))?;

@@ -71,7 +71,7 @@ tests! {
     t19_convergence "T19";
     t20_rays_and_spheres "T20";
     t21_self_hits_and_leaks "T21";
-    t22_watertight_meshes "T22" not run: "there are no triangle meshes yet";
+    t22_watertight_meshes "T22";
     t23_far_from_the_origin "T23";
     t24_degenerate_scenes "T24";
     t25_axes_wall_planes_corners "T25";

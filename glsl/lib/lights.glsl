@@ -7,6 +7,7 @@
 #include "lib/scene.glsl"
 
 bool emits(uint id) {
+    if (MESH_LIGHT_COUNT > 0u && id >= MESH_FIRST && id < MESH_FIRST + MESH_LIGHT_COUNT) return true;
     return id < SPHERE_LIGHT_COUNT || (id >= INWARD_FIRST && id < INWARD_FIRST + INWARD_LIGHT_COUNT)
         || (id >= SPHERE_COUNT && id < SPHERE_COUNT + RECT_LIGHT_COUNT);
 }
@@ -34,13 +35,36 @@ float spot(uint light, uint kind, vec3 away) {
     return kind == SPOT_LINEAR ? part : part * part;
 }
 
-// The i-th of the lights that are sampled: spheres, rectangles and disks, those that no ray meets; the environment's map comes after.
-uint light_at(uint i) { return i < SPHERE_LIGHT_COUNT ? i : i < AREA_LIGHT_COUNT ? SPHERE_COUNT + i - SPHERE_LIGHT_COUNT : DELTA_FIRST + i - AREA_LIGHT_COUNT; }
+// The i-th of the lights that are sampled: spheres, rectangles and disks, meshes, those that no ray meets; the environment's map
+// comes after.
+uint light_at(uint i) {
+    if (i < SPHERE_LIGHT_COUNT) return i;
+    i -= SPHERE_LIGHT_COUNT;
+    if (i < RECT_LIGHT_COUNT) return SPHERE_COUNT + i;
+    i -= RECT_LIGHT_COUNT;
+    return i < MESH_LIGHT_COUNT ? MESH_FIRST + i : DELTA_FIRST + i - MESH_LIGHT_COUNT;
+}
+
+// Where a light's share in the choice of lights begins: where that of what stands before it ends.
+float share_begin(uint light) { return light > 0u ? row(light - 1u, RADIANCE).w : 0.0; }
+
+// A triangle of an emitting mesh, by area: `choice` in [0, 1) against the table of its summed areas (parts of the whole, triangles).
+uint choose_triangle(vec4 g, float choice) {
+    int low = 0, high = int(g.y) - 1;
+    while (low < high) {
+        int middle = (low + high) / 2;
+        bool below = choice < imageLoad(scene, int(g.x) + middle).x;
+        high = below ? middle : high;
+        low = below ? low : middle + 1;
+    }
+    return uint(imageLoad(scene, int(g.x) + low).y);
+}
 
 // Light that reaches the vertex directly from one chosen light, per unit of throughput (albedo excluded).
 vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex, inout uint rays) {
     uint light = 0u;
     float share = 1.0;
+    float within = choice; // the place of `choice` in the light's share
     if (LIGHT_COUNT > 1u) {
         float below = 0.0;
         share = 0.0;
@@ -51,12 +75,14 @@ vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex
             bool chosen = choice >= below && choice < above;
             light = chosen ? id : light;
             share = chosen ? above - below : share;
+            if (MESH_LIGHT_COUNT > 0u) within = chosen ? (choice - below) / (above - below) : within;
             below = above;
         }
     } else {
         light = MAP_SAMPLED ? NONE : light_at(0u);
     }
     if (light == v.id || share <= 0.0) return vec3(0.0);
+    uint source = light; // what must not block
     bool mapped = MAP_SAMPLED && light == NONE;
     bool delta = DELTA_COUNT > 0u && !mapped && light >= DELTA_FIRST;
     vec4 g = vec4(0.0);
@@ -91,7 +117,7 @@ vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex
         }
         weight = max(0.0, dot(wi, v.n)) / (PI * pdf_light);
         if (SPOTS && kind >= SPOT_LINEAR) fade = spot(light, kind, -wi);
-    } else if (RECT_LIGHT_COUNT == 0u || (SPHERE_LIGHT_COUNT > 0u && light < SPHERE_LIGHT_COUNT)) {
+    } else if (RECT_LIGHT_COUNT + MESH_LIGHT_COUNT == 0u || (SPHERE_LIGHT_COUNT > 0u && light < SPHERE_LIGHT_COUNT)) {
         vec3 to_center = g.xyz - v.p;
         float distance2 = dot(to_center, to_center);
         float s2 = g.w * g.w / distance2;
@@ -105,13 +131,27 @@ vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex
         weight = dot(wi, v.n) * 2.0 * cone / share;
         pdf_light = share / (2.0 * PI * cone);
     } else {
-        vec2 s = is_disk(light - SPHERE_COUNT) ? sample_disk(u) : 2.0 * u - 1.0;
-        vec3 q = g.xyz + s.x * row(light, HALF_U).xyz + s.y * row(light, HALF_V).xyz - v.p;
+        vec3 q, normal;
+        if (MESH_LIGHT_COUNT > 0u && light >= MESH_FIRST) {
+            uint triangle = choose_triangle(g, within);
+            source = TRIANGLE_FIRST + triangle;
+            if (source == v.id) return vec3(0.0);
+            vec2 s = sample_triangle(u);
+            vec3 v0 = triangle_row(triangle, 0).xyz;
+            q = v0 + s.x * (triangle_row(triangle, 1).xyz - v0) + s.y * (triangle_row(triangle, 2).xyz - v0) - v.p;
+            normal = triangle_row(triangle, 3).xyz;
+        } else {
+            vec2 s = is_disk(light - SPHERE_COUNT) ? sample_disk(u) : 2.0 * u - 1.0;
+            q = g.xyz + s.x * row(light, HALF_U).xyz + s.y * row(light, HALF_V).xyz - v.p;
+            normal = row(light, NORMAL).xyz;
+        }
         float distance2 = dot(q, q);
         float inverse = inversesqrt(distance2);
         wi = q * inverse;
         t_light = distance2 * inverse;
-        float facing = -dot(wi, row(light, NORMAL).xyz);
+        // A mesh's other triangles meet this one at its edges.
+        if (MESH_LIGHT_COUNT > 0u && source >= TRIANGLE_FIRST) t_light -= g_short;
+        float facing = -dot(wi, normal);
         if (!(facing > 0.0) || !(distance2 > 0.0)) return vec3(0.0);
         pdf_light = share * distance2 / (facing * g.w);
         float pdf_bounce = max(0.0, dot(wi, v.n)) / PI;
@@ -128,7 +168,7 @@ vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex
     rays += 1u;
     // From inside a sphere, the sphere itself is in the way.
     uint receiver = HOLLOW && v.back && is_sphere(v.id) ? NONE : v.id;
-    if (occluded(v.p, wi, t_light, receiver, light)) return vec3(0.0);
+    if (occluded(origin_of(v, wi), wi, t_light, receiver, source)) return vec3(0.0);
     if (!mapped) radiance = ONE_LIGHT ? g_light_radiance : row(light, RADIANCE).rgb;
     if (SPOTS) radiance *= fade;
     return weights * radiance;
@@ -136,29 +176,26 @@ vec3 sample_light(Vertex v, vec2 u, float choice, uint sample_index, uint vertex
 
 // Emission met by a ray from `o`; with light sampling only what that technique leaves to this one.
 vec3 emission(Vertex v, vec3 o, vec3 d, float t, float pdf_bounce, uint chosen) {
-    if (!LIT || !v.front || v.back || !emits(v.id)) return vec3(0.0);
-    vec4 radiance = ONE_LIGHT ? vec4(g_light_radiance, 1.0) : row(v.id, RADIANCE);
+    uint light = surface_of(v);
+    if (!LIT || !v.front || v.back || !emits(light)) return vec3(0.0);
+    vec4 radiance = ONE_LIGHT ? vec4(g_light_radiance, 1.0) : row(light, RADIANCE);
     float weight = 1.0;
     if (NEE && chosen != ALONE) {
-        if (v.id < SPHERE_LIGHT_COUNT) {
+        if (light < SPHERE_LIGHT_COUNT) {
             weight = 0.0;
             if (ROUGH_CONDUCTORS && chosen == GLOSSILY) {
-                vec4 sphere = row(v.id, GEOMETRY);
+                vec4 sphere = row(light, GEOMETRY);
                 vec3 to_center = sphere.xyz - o;
                 float s2 = sphere.w * sphere.w / dot(to_center, to_center);
-                float share = radiance.w - (v.id > 0u ? row(v.id - 1u, RADIANCE).w : 0.0);
+                float share = radiance.w - share_begin(light);
                 if (ONE_LIGHT) share = 1.0;
                 // A receiver inside the light has no light sample of it.
                 float pdf_light = s2 < 1.0 ? share / (2.0 * PI * cone_one_minus_cos(s2)) : 0.0;
                 weight = pdf_bounce / (pdf_bounce + pdf_light);
             }
         }
-        if (RECT_LIGHT_COUNT > 0u && v.id >= SPHERE_COUNT) {
-            uint i = v.id - SPHERE_COUNT;
-            float below = 0.0;
-            if (i > 0u) below = row(v.id - 1u, RADIANCE).w;
-            else if (SPHERE_LIGHT_COUNT > 0u) below = row(SPHERE_LIGHT_COUNT - 1u, RADIANCE).w;
-            float pdf_light = (radiance.w - below) * t * t / (-dot(d, v.n) * row(v.id, GEOMETRY).w);
+        if (RECT_LIGHT_COUNT + MESH_LIGHT_COUNT > 0u && light >= SPHERE_COUNT) {
+            float pdf_light = (radiance.w - share_begin(light)) * t * t / (-dot(d, v.n) * row(light, GEOMETRY).w);
             weight = pdf_bounce / (pdf_bounce + pdf_light);
         }
     }

@@ -32,6 +32,12 @@ vec2 sample_disk(vec2 u) {
     return vec2(r * cos(phi), r * sin(phi));
 }
 
+// Uniform in a triangle: weights of its second and third vertex.
+vec2 sample_triangle(vec2 u) {
+    float root = sqrt(u.x);
+    return vec2(1.0 - root, root * u.y);
+}
+
 // 1 - cos of the half angle under which a sphere is seen, s2 = (radius / distance)^2; free of cancellation for far lights.
 float cone_one_minus_cos(float s2) { return s2 / (1.0 + sqrt(max(0.0, 1.0 - s2))); }
 

@@ -32,6 +32,8 @@ const int MATERIAL_A = 13; // conductor: eta; dielectric: reflectance; plastic: 
 const int MATERIAL_B = 14; // conductor: k; dielectric: transmittance; plastic: share of the coating in the choice, 1 if nonlinear
 const int BITMAP = 15;     // first texel, width, height, wrap + 4 * nearest
 
+#include "lib/mesh.glsl"
+
 const uint SPHERES = SPHERE_COUNT > 0u ? SPHERE_COUNT : 1u;
 const uint RECTS = RECT_COUNT > 0u ? RECT_COUNT : 1u;
 vec4 g_sphere[SPHERES];
@@ -69,6 +71,7 @@ void preload() {
     g_up_unit = normalize(g_up);
     g_depth_scale = imageLoad(scene, 1).w;
     g_lens = vec2(imageLoad(scene, 2).w, imageLoad(scene, 3).w);
+    if (TRIANGLES) preload_tables();
     if (!PRELOAD) return;
     [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
         g_sphere[i] = row(i, GEOMETRY);
@@ -109,8 +112,18 @@ struct Vertex {
     float ior;
     vec3 base;    // plastic: reflectance under the coating
     vec3 wo;
+    // With triangles:
+    uint surface; // the primitive, or the mesh, whose material it has
+    vec3 through; // of vertex normals: from the origin of rays on the normal's side to that on the other
 };
 
+uint surface_of(Vertex v) { return TRIANGLES ? v.surface : v.id; }
+
+// Where a ray from the vertex starts. Interpolated normals may send one to the other side of its triangle, as in Mitsuba.
+vec3 origin_of(Vertex v, vec3 d) { return MESH_SMOOTH && dot(d, v.through) > 0.0 ? v.p + v.through : v.p; }
+
+// Do hits of triangles need more than their vertices?
+const bool CORNERS = MESH_SMOOTH || CHECKERS || BITMAPS;
 // Outward spheres whose inside is lit as well.
 const bool HOLLOW = TWO_SIDED || DIELECTRICS;
 
@@ -133,6 +146,10 @@ uint closest_hit(vec3 o, vec3 d, uint skip, inout float best) {
         best = closer ? t : best;
         id = closer ? SPHERE_COUNT + i : id;
     }
+    if (TRIANGLES) {
+        uint triangle = trace_triangles(o, d, skip, NONE, false, best);
+        id = triangle != NONE ? triangle : id;
+    }
     return id;
 }
 
@@ -151,6 +168,7 @@ bool occluded(vec3 o, vec3 d, float t_max, uint receiver, uint light) {
         float t = hit_rect_at(i, o, d, reciprocal);
         blocked = blocked || (t > 0.0 && t < t_max && SPHERE_COUNT + i != light && SPHERE_COUNT + i != receiver);
     }
+    if (TRIANGLES && !blocked) blocked = trace_triangles(o, d, receiver, light, true, t_max) != NONE;
     return blocked;
 }
 
@@ -233,7 +251,7 @@ void set_material(inout Vertex v, vec3 d, uint surface) {
 
 // The coating of a plastic.
 Coating coating(Vertex v) {
-    vec4 a = row(v.id, MATERIAL_A), b = row(v.id, MATERIAL_B);
+    vec4 a = row(surface_of(v), MATERIAL_A), b = row(surface_of(v), MATERIAL_B);
     return Coating(v.ior, a.w, b.x, b.y != 0.0, a.rgb);
 }
 
@@ -242,7 +260,8 @@ Response respond(Vertex v, vec3 wi) {
     float cosine = max(0.0, dot(wi, v.n));
     Response r = Response(vec3(cosine / PI), cosine / PI);
     if (ROUGH_CONDUCTORS && v.kind == ROUGH_CONDUCTOR) {
-        r = respond_rough(v.n, v.wo, wi, v.roughness, row(v.id, MATERIAL_A).rgb, row(v.id, MATERIAL_B).rgb);
+        uint surface = surface_of(v);
+        r = respond_rough(v.n, v.wo, wi, v.roughness, row(surface, MATERIAL_A).rgb, row(surface, MATERIAL_B).rgb);
     } else if (PLASTICS && v.kind == PLASTIC) {
         Coating c = coating(v);
         float reflected;
@@ -259,6 +278,41 @@ bool scatters_widely(Vertex v) { return !BSDFS || v.kind == DIFFUSE || v.kind >=
 vec3 shown_albedo(Vertex v) {
     if (PLASTICS && v.kind == PLASTIC) return v.base;
     return v.albedo;
+}
+
+// A hit on a triangle, a little inside its edges, with the interpolated normal where the mesh has one.
+Vertex make_triangle_vertex(vec3 d, uint id, float offset) {
+    uint triangle = id - TRIANGLE_FIRST;
+    vec4 v0 = triangle_row(triangle, 0), v1 = triangle_row(triangle, 1), v2 = triangle_row(triangle, 2);
+    vec4 flat_normal = triangle_row(triangle, 3);
+    vec3 weights = vec3(1.0 - g_barycentric.x - g_barycentric.y, g_barycentric);
+    vec3 inside = max(weights, vec3(v0.w, v1.w, v2.w));
+    inside *= 1.0 / (inside.x + inside.y + inside.z);
+    Vertex v;
+    v.id = id;
+    v.surface = MESH_FIRST + uint(flat_normal.w);
+    v.back = false;
+    v.kind = DIFFUSE;
+    v.p = inside.x * v0.xyz + inside.y * v1.xyz + inside.z * v2.xyz;
+    v.n = flat_normal.xyz;
+    v.albedo = row(v.surface, ALBEDO).rgb;
+    if (CORNERS) {
+        vec4 c0 = corner_row(triangle, 0), c1 = corner_row(triangle, 1), c2 = corner_row(triangle, 2);
+        if (MESH_SMOOTH) {
+            vec3 n = weights.x * c0.xyz + weights.y * c1.xyz + weights.z * c2.xyz;
+            v.n = dot(n, n) > 0.0 ? normalize(n) : v.n;
+        }
+        if (CHECKERS || BITMAPS) {
+            vec3 heights = corner_row(triangle, 3).xyz;
+            vec2 uv = vec2(dot(weights, vec3(c0.w, c1.w, c2.w)), dot(weights, heights));
+            v.albedo = textured_uv(v.surface, uv, v.albedo);
+        }
+    }
+    set_material(v, d, v.surface);
+    vec3 off = dot(v.n, flat_normal.xyz) < 0.0 ? -offset * flat_normal.xyz : offset * flat_normal.xyz;
+    v.p += off;
+    v.through = -2.0 * off;
+    return v;
 }
 
 // A hit of a rectangle or disk of any orientation, pulled back into its plane and off its edge.
@@ -281,10 +335,13 @@ vec3 pulled_inside(uint id, vec3 p, vec3 center) {
 
 // The hit, pulled back onto its surface: a ray's far end is less exact than the surface is.
 Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
+    if (TRIANGLES && id >= TRIANGLE_FIRST) return make_triangle_vertex(d, id, offset);
     Vertex v;
     v.id = id;
     v.back = false;
     v.kind = DIFFUSE;
+    v.surface = id;
+    v.through = vec3(0.0);
     bool rect = RECT_COUNT > 0u && (SPHERE_COUNT == 0u || id >= SPHERE_COUNT);
     if (SPHERE_COUNT > 0u && !rect) {
         vec4 s = sphere_at(0u);

@@ -37,7 +37,7 @@ pub fn run(args: &Args) -> Result<u8> {
         None => spec.load(&options)?,
     };
     super::progress::left_out(&loaded.left_out);
-    let xml = mitsuba::write(&loaded.scene);
+    let xml = mitsuba::write(&loaded.scene)?;
     match &args.output {
         Some(path) => file::write_atomically(path, |out| {
             out.write_all(xml.as_bytes()).map_err(|error| limpid::Error::io(path, error))

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::pack::{Frame, order};
 use super::settings::{Estimator, Sampler, Settings};
 use crate::named::named;
-use crate::scene::{Bsdf, DeltaKind, DeltaLight, Environment, Falloff, Geometry, Scene, Shape, Texture};
+use crate::scene::{Bsdf, DeltaKind, DeltaLight, Environment, Falloff, Geometry, Mesh, Scene, Shape, Texture};
 use crate::shaders;
 
 /// Up to this many spheres and as many rectangles are held in registers and tested without a loop.
@@ -34,6 +34,14 @@ pub struct Features {
     pub rect_axes: u32,
     /// One bit a rectangle: set where it can come between a surface and a light.
     pub rect_blockers: u32,
+    /// Meshes.
+    pub mesh_count: u32,
+    /// Of these, those that emit.
+    pub mesh_light_count: u32,
+    /// A mesh has vertex normals.
+    pub mesh_smooth: bool,
+    /// Steps that a ray takes through the tree of triangles, roughly; 0 where there are none.
+    pub mesh_steps: u32,
     /// A surface has two reflectances in a checkerboard.
     pub checkers: bool,
     /// A surface has a picture.
@@ -136,7 +144,7 @@ impl Features {
         let shapes: Vec<&Shape> = order(scene).into_iter().map(|i| &scene.shapes[i]).collect();
         let count = |f: &dyn Fn(&Shape) -> bool| shapes.iter().filter(|s| f(s)).count() as u32;
         let rects: Vec<&Shape> = shapes.iter().copied().filter(|s| is_flat(s)).collect();
-        let (sphere_count, rect_count) = (count(&|s| !is_flat(s)), rects.len() as u32);
+        let (sphere_count, rect_count) = (count(&is_sphere), rects.len() as u32);
         let preload = sphere_count.max(rect_count) as usize <= MAX_UNROLLED;
         let frame = Frame::of(scene);
         let (mut rect_axes, mut rect_blockers) = (0, u32::MAX);
@@ -152,12 +160,16 @@ impl Features {
             rect_count,
             disk_first: rects.iter().position(|s| is_disk(s)).unwrap_or(0) as u32,
             disk_count: count(&is_disk),
-            sphere_light_count: count(&|s| !is_flat(s) && !is_inward(s) && emits(s)),
+            sphere_light_count: count(&|s| is_sphere(s) && !is_inward(s) && emits(s)),
             rect_light_count: count(&|s| is_flat(s) && emits(s)),
             inward_count: count(&is_inward),
             inward_light_count: count(&|s| is_inward(s) && emits(s)),
             rect_axes,
             rect_blockers,
+            mesh_count: count(&|s| mesh_of(s).is_some()),
+            mesh_light_count: count(&|s| mesh_of(s).is_some() && emits(s)),
+            mesh_smooth: shapes.iter().any(|s| mesh_of(s).is_some_and(|mesh| !mesh.normals.is_empty())),
+            mesh_steps: mesh_steps(&shapes),
             checkers: shapes.iter().any(|s| matches!(s.texture, Some(Texture::Checker(_)))),
             bitmaps: shapes.iter().any(|s| matches!(s.texture, Some(Texture::Bitmap(_)))),
             materials: shapes.iter().map(|s| 1 << material_kind(&s.bsdf)).fold(0, |all, bit| all | bit) & ALL_MATERIALS,
@@ -187,7 +199,8 @@ impl Features {
         }
     }
 
-    pub(super) fn path_trace_spec(&self) -> shaders::path_trace::Spec {
+    /// `loops_end`: the device ends a run's loops after some rounds.
+    pub(super) fn path_trace_spec(&self, loops_end: bool) -> shaders::path_trace::Spec {
         shaders::path_trace::Spec {
             sphere_count: self.sphere_count,
             rect_count: self.rect_count,
@@ -199,6 +212,10 @@ impl Features {
             inward_light_count: self.inward_light_count,
             rect_axes: self.rect_axes,
             rect_blockers: self.rect_blockers,
+            mesh_count: self.mesh_count,
+            mesh_light_count: self.mesh_light_count,
+            mesh_smooth: self.mesh_smooth,
+            loops_end,
             checkers: self.checkers,
             bitmaps: self.bitmaps,
             materials: self.materials,
@@ -227,9 +244,10 @@ impl Features {
         }
     }
 
-    /// Loop iterations of one path at most, inner loops included: whether a driver unrolls them is its own affair.
+    /// Loop iterations of one path at most, inner loops included: whether a driver unrolls them is its own affair. With
+    /// triangles an estimate: there the shader finds out for itself, and goes on in another run.
     pub(super) fn iterations_per_path(&self) -> u32 {
-        let primitives = self.sphere_count + self.rect_count;
+        let primitives = self.sphere_count + self.rect_count + self.mesh_steps;
         let lights = self.sampled_lights();
         let queries = if self.estimator == Estimator::Nee { 2 * primitives + lights } else { primitives };
         (self.bounces + 2) * (1 + queries)
@@ -237,7 +255,7 @@ impl Features {
 
     fn sampled_lights(&self) -> u32 {
         let map = u32::from(self.environment == 2);
-        self.sphere_light_count + self.rect_light_count + self.delta_count + map
+        self.sphere_light_count + self.rect_light_count + self.mesh_light_count + self.delta_count + map
     }
 
     /// What this scene does not need and the pipelines therefore do not have, in words.
@@ -255,6 +273,8 @@ impl Features {
         skip(self.rect_count == 0, "rectangle intersection");
         skip(self.disk_count == 0, "disks");
         skip(self.sphere_light_count == 0, "sphere lights");
+        skip(self.mesh_count == 0, "triangles and their tree");
+        skip(self.mesh_count > 0 && !self.mesh_smooth, "interpolated normals");
         skip(self.rect_light_count == 0, "rectangle lights and multiple importance sampling");
         skip(self.inward_count == 0, "inward spheres");
         skip(lights < 2 && self.estimator == Estimator::Nee, "choice among lights");
@@ -309,6 +329,23 @@ const ALL_MATERIALS: u32 = 0b11110;
 /// A rectangle or a disk?
 pub(super) fn is_flat(shape: &Shape) -> bool {
     matches!(shape.geometry, Geometry::Rectangle { .. } | Geometry::Disk { .. })
+}
+
+fn is_sphere(shape: &Shape) -> bool {
+    matches!(shape.geometry, Geometry::Sphere { .. })
+}
+
+pub(super) fn mesh_of(shape: &Shape) -> Option<&Mesh> {
+    match &shape.geometry {
+        Geometry::Mesh(mesh) => Some(mesh),
+        _ => None,
+    }
+}
+
+/// Two nodes a level and some triangles, as long as the tree is balanced.
+fn mesh_steps(shapes: &[&Shape]) -> u32 {
+    let triangles: usize = shapes.iter().filter_map(|s| mesh_of(s)).map(|mesh| mesh.triangles.len()).sum();
+    if triangles > 0 { 2 * triangles.ilog2() + 8 } else { 0 }
 }
 
 pub(super) fn is_disk(shape: &Shape) -> bool {

@@ -12,6 +12,8 @@ mod environment;
 mod error_estimate;
 mod features;
 mod goal;
+mod mesh;
+mod mesh_probe;
 mod output;
 mod pack;
 mod probe;
@@ -21,6 +23,7 @@ mod state;
 
 pub use features::{Features, MAX_UNROLLED, Skip};
 pub use goal::{Goal, Next, Pursuit, Reached};
+pub(crate) use mesh_probe::closest_triangles;
 pub use output::Outputs;
 pub use pack::FilmWindow;
 pub use probe::loop_limit;

@@ -6,9 +6,10 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::environment;
-use super::features::{axis_of, delta_kind, emits, is_disk, is_flat, is_inward, material_kind};
+use super::features::{axis_of, delta_kind, emits, is_disk, is_flat, is_inward, material_kind, mesh_of};
+use super::mesh;
 use crate::scene::{
-    Bitmap, Bsdf, Checker, DeltaKind, DeltaLight, Environment, Falloff, Geometry, Picture, Scene, Shape, Texture,
+    Bitmap, Bsdf, Checker, DeltaKind, DeltaLight, Environment, Falloff, Geometry, Mesh, Picture, Scene, Shape, Texture,
 };
 use crate::{Error, Result};
 
@@ -52,12 +53,12 @@ impl Frame {
 }
 
 /// The shapes in the order of the buffers: spheres (outward lights, outward, inward lights, inward), then rectangles and
-/// disks (rectangles that are lights, disks that are, other disks, other rectangles).
+/// disks (rectangles that are lights, disks that are, other disks, other rectangles), then meshes (lights, others).
 pub(super) fn order(scene: &Scene) -> Vec<usize> {
     let mut indices: Vec<usize> = (0..scene.shapes.len()).collect();
     indices.sort_by_key(|&i| {
         let s = &scene.shapes[i];
-        (is_flat(s), is_inward(s), !emits(s), is_disk(s) == emits(s))
+        (mesh_of(s).is_some(), is_flat(s), is_inward(s), !emits(s), is_disk(s) == emits(s))
     });
     indices
 }
@@ -93,6 +94,7 @@ pub(super) fn pack(scene: &Scene, window: Option<FilmWindow>) -> Result<Vec<[f32
         pack_delta(light, &frame, upper, &mut rows);
     }
     rows.resize(rows.len().max(CAMERA_ROWS + PRIMITIVE_ROWS), [0.0; 4]);
+    pack_meshes(&order.iter().map(|&i| &scene.shapes[i]).collect::<Vec<_>>(), &frame, offset, &mut rows);
     pack_bitmaps(scene, &order, &mut rows);
     if let Some(environment) = &scene.environment {
         let share = 1.0 - shares.last().copied().unwrap_or(0.0);
@@ -101,7 +103,7 @@ pub(super) fn pack(scene: &Scene, window: Option<FilmWindow>) -> Result<Vec<[f32
     }
     if rows.len() > MAX_ROWS {
         return Err(Error::input(format!(
-            "textures and environment map need {} rows of 16 bytes, at most {MAX_ROWS} can be had: make them smaller",
+            "triangles, textures and environment map need {} rows of 16 bytes, at most {MAX_ROWS} can be had: make them smaller",
             rows.len()
         )));
     }
@@ -193,6 +195,23 @@ fn pack_bitmaps(scene: &Scene, order: &[usize], rows: &mut Vec<[f32; 4]>) {
     }
 }
 
+/// Appends the triangles, and notes in the rows of meshes that emit where their tables are.
+fn pack_meshes(shapes: &[&Shape], frame: &Frame, offset: f64, rows: &mut Vec<[f32; 4]>) {
+    let first = shapes.iter().position(|s| mesh_of(s).is_some()).unwrap_or(shapes.len());
+    let meshes: Vec<&Mesh> = shapes[first..].iter().filter_map(|s| mesh_of(s)).collect();
+    if meshes.is_empty() {
+        return;
+    }
+    let corners = shapes[first..].iter().any(|s| s.texture.is_some()) || meshes.iter().any(|m| !m.normals.is_empty());
+    let lights = shapes[first..].iter().filter(|s| emits(s)).count();
+    let packed = mesh::pack(&meshes, frame, offset, rows.len(), corners, lights);
+    for (i, [table, count]) in packed.tables.into_iter().enumerate() {
+        let geometry = &mut rows[CAMERA_ROWS + PRIMITIVE_ROWS * (first + i)];
+        (geometry[0], geometry[1]) = (table, count);
+    }
+    rows.extend(packed.rows);
+}
+
 /// Is this a light that is sampled directly? Inward lights surround their receivers and are left to the bounces.
 fn sampled(shape: &Shape) -> bool {
     emits(shape) && !is_inward(shape)
@@ -254,6 +273,11 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
             rows.push(row(shape.albedo, 0.0));
             rows.push(row(shape.radiance, upper));
             push_plane([u, v], 0, [1.0; 2], [inner; 2], rows);
+        }
+        Geometry::Mesh(ref mesh) => {
+            rows.push([0.0, 0.0, 0.0, (mesh.area() * frame.scale * frame.scale) as f32]);
+            rows.push(row(shape.albedo, 0.0));
+            rows.push(row(shape.radiance, upper));
         }
     }
     rows.resize(begin + TEXTURE_ROW, [0.0; 4]);

@@ -12,7 +12,7 @@ crate::push_block! {
 }
 
 /// Iterations that the probe asks for.
-const WANTED: u32 = 100_000;
+pub(super) const WANTED: u32 = 100_000;
 
 static KNOWN: Mutex<Option<HashMap<String, u32>>> = Mutex::new(None);
 

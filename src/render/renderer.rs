@@ -2,7 +2,7 @@
 
 use super::features::Features;
 use super::pack::{FIRST_RADIANCE, FilmWindow, pack};
-use super::probe::loop_limit;
+use super::probe::{WANTED, loop_limit};
 use super::settings::Settings;
 use super::state::{Cursor, State};
 use crate::gpu::{Buffer, Gpu, Kernel};
@@ -13,7 +13,7 @@ crate::push_block! {
     /// Push constants of `path_trace`.
     pub struct TracePush for crate::shaders::path_trace {
         width: u32, height: u32, window_row: u32, row_begin: u32, row_end: u32,
-        sample_begin: u32, sample_end: u32, seed: u32, batch_size: u32, write_aov: u32
+        sample_begin: u32, sample_end: u32, seed: u32, batch_size: u32, write_aov: u32, loop_rounds: u32
     }
 }
 crate::push_block! {
@@ -25,8 +25,11 @@ crate::push_block! {
 
 /// Samples of one dispatch at most; more gain nothing.
 const MAX_CHUNK: u32 = 64;
-/// Rows of a work group.
-const GROUP: u32 = 8;
+/// Pixels of a work group: lavapipe fills its vectors, of up to 16 lanes, along x alone.
+const GROUP_COLUMNS: u32 = 16;
+const GROUP_ROWS: u32 = 4;
+/// A dispatch has a multiple of so many rows.
+const BAND: u32 = 8;
 /// A dispatch should take about this long, well under the watchdogs of desktop drivers.
 const TARGET_SECONDS: f64 = 0.25;
 
@@ -100,10 +103,11 @@ impl Renderer {
         settings.check(scene)?;
         let rows = pack(scene, None)?;
         let before = gpu.pipeline_ms();
-        let trace = gpu.kernel::<shaders::path_trace::Shader>(&features.path_trace_spec())?;
+        let rounds = loop_limit(gpu)?;
+        let trace = gpu.kernel::<shaders::path_trace::Shader>(&features.path_trace_spec(rounds < WANTED))?;
         let spec = shaders::resolve::Spec { antialias: features.aa, variance: features.variance, aovs: features.aovs };
         let resolve = gpu.kernel::<shaders::resolve::Shader>(&spec)?;
-        let limit = loop_limit(gpu)? / 2;
+        let limit = rounds / 2;
         let pipeline_ms = gpu.pipeline_ms() - before;
         let per_path = features.iterations_per_path();
         if per_path > limit {
@@ -151,6 +155,10 @@ impl Renderer {
             return Err(Error::input(
                 "this scene differs from the renderer's in size or features: make a new renderer",
             ));
+        }
+        if rows.len() != self.rows.len() {
+            // Trees of as many triangles may differ in size.
+            self.scene = self.gpu.buffer("scene", std::mem::size_of_val(rows.as_slice()) as u64)?;
         }
         self.gpu.upload(&self.scene.all(), &rows)?;
         self.rows = rows;
@@ -222,13 +230,13 @@ impl Renderer {
         let (height, width) = (self.state.height, self.state.width);
         let affordable = (self.rate * TARGET_SECONDS).max(1.0);
         if self.cursor.row == 0 {
-            let chunk = (affordable / f64::from(width * GROUP.min(height))) as u32;
+            let chunk = (affordable / f64::from(width * BAND.min(height))) as u32;
             let chunk = chunk.clamp(1, self.max_chunk).min(goal - self.cursor.begin);
             self.cursor.end = self.cursor.begin + chunk;
         }
         let samples = self.cursor.end - self.cursor.begin;
         let rows = (affordable / (f64::from(width) * f64::from(samples))).min(f64::from(height)) as u32;
-        let rows = (rows / GROUP * GROUP).max(GROUP);
+        let rows = (rows / BAND * BAND).max(BAND);
         let window = self.cursor.row / self.state.window_rows * self.state.window_rows;
         let row_end = (self.cursor.row + rows).min(window + self.state.window_rows).min(height);
         let ms = self.dispatch(window, self.cursor.row..row_end, self.cursor.begin..self.cursor.end)?;
@@ -257,17 +265,34 @@ impl Renderer {
             seed: self.settings.seed,
             batch_size: self.settings.batch_size(),
             write_aov: u32::from(samples.start == 0),
+            loop_rounds: 2,
         };
-        let mut rec = self.gpu.recorder();
-        if self.clear_first {
-            self.state.record_clear(&mut rec);
+        let mut total_ms = 0.0;
+        // Every run gives each pixel another sample at least.
+        for _ in 0..=MAX_CHUNK {
+            let mut rec = self.gpu.recorder();
+            if self.clear_first {
+                self.state.record_clear(&mut rec);
+            }
+            self.state.unfinished.iter().for_each(|buffer| rec.fill_zero(&buffer.all()));
+            let groups = [push.width.div_ceil(GROUP_COLUMNS), (rows.end - rows.start).div_ceil(GROUP_ROWS), 1];
+            rec.dispatch(&self.trace, &self.state.path_trace_bind(&self.scene, window), &push, groups);
+            let ms = rec.finish()?.run()?.device_ms;
+            self.clear_first = false;
+            self.stats.device_ms += ms;
+            total_ms += ms;
+            if !self.unfinished()? {
+                return Ok(total_ms);
+            }
+            self.max_chunk = (self.max_chunk / 2).max(1);
         }
-        let groups = [push.width.div_ceil(GROUP), (rows.end - rows.start).div_ceil(GROUP), 1];
-        rec.dispatch(&self.trace, &self.state.path_trace_bind(&self.scene, window), &push, groups);
-        let ms = rec.finish()?.run()?.device_ms;
-        self.clear_first = false;
-        self.stats.device_ms += ms;
-        Ok(ms)
+        Err(Error::Gpu(format!("{} ends the path tracer's loops before one path is traced", self.gpu.info().name)))
+    }
+
+    /// Did the driver cut loops short, so that pixels lack samples?
+    fn unfinished(&self) -> Result<bool> {
+        let Some(buffer) = &self.state.unfinished else { return Ok(false) };
+        Ok(self.gpu.download::<u32>(&buffer.slice(0, 4))?[0] != 0)
     }
 
     fn progress(&self, device_ms: f64, goal: u32) -> Progress {
@@ -360,6 +385,31 @@ mod tests {
         let mut scene = family::canonical();
         (scene.camera.width, scene.camera.height) = (37, 61);
         scene
+    }
+
+    /// Where a driver ends a run's loops early the pixels go on in further runs: the same bits as one sample at a time.
+    #[test]
+    fn loops_that_are_cut_short_change_no_bit() {
+        let gpu = gpu();
+        let mut scene = scene();
+        (scene.camera.width, scene.camera.height) = (13, 11);
+        let mesh = std::sync::Arc::new(crate::scene::tessellate::icosphere(4));
+        scene.shapes[6].geometry = crate::scene::Geometry::Mesh(mesh);
+        for aa in [false, true] {
+            let settings = Settings { spp: 512, aa, ..Settings::default() };
+            let mut single = Renderer::new(&gpu, &scene, &settings).expect("renderer");
+            let mut cut = Renderer::new(&gpu, &scene, &settings).expect("renderer");
+            single.limit_chunk(4);
+            (cut.max_chunk, cut.rate) = (512, 1e9);
+            single.finish().expect("render");
+            cut.finish().expect("render");
+            // A device without such a limit does it in one run.
+            assert_eq!(cut.max_chunk < 512, loop_limit(&gpu).expect("probe") < 100_000, "{}", cut.max_chunk);
+            assert_eq!(single.image().expect("image"), cut.image().expect("image"), "aa {aa}");
+            let (a, b) = (single.stats().expect("stats"), cut.stats().expect("stats"));
+            assert_eq!((a.samples, a.invalid), (b.samples, b.invalid));
+        }
+        assert_eq!(gpu.drain_validation(), Vec::<String>::new());
     }
 
     /// Images larger than a device's storage range are cut into windows of rows: the same bits.

@@ -24,6 +24,8 @@ pub(super) struct State {
     pub radiance: Buffer,
     pub resolved: Option<[Buffer; 3]>,
     pub variance: Option<Buffer>,
+    /// Set where pixels have not all the samples that were asked for; with triangles only.
+    pub unfinished: Option<Buffer>,
     /// Stands in for what this render does not have.
     pub dummy: Buffer,
     /// Rows of one window: no binding exceeds the device's storage range.
@@ -50,6 +52,7 @@ impl State {
             radiance: plane("radiance")?,
             resolved: (features.aa && features.aovs).then(|| planes(["albedo", "normal", "screen"])).transpose()?,
             variance: features.variance.then(|| plane("variance")).transpose()?,
+            unfinished: (features.mesh_count > 0).then(|| gpu.buffer("unfinished", 256)).transpose()?,
             dummy: gpu.buffer("dummy", 256)?,
             window_rows: window_rows.min(height),
         })
@@ -87,6 +90,7 @@ impl State {
             screen: self.aov_window(2, first),
             batch: self.window_or_dummy(self.batch.as_ref(), first, 3 * VEC4_BYTES),
             difference: self.window_or_dummy(self.difference.as_ref(), first, VEC4_BYTES),
+            unfinished: self.unfinished.as_ref().unwrap_or(&self.dummy).all(),
         }
     }
 

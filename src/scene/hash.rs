@@ -1,7 +1,7 @@
 //! A short fingerprint of a scene.
 
 use super::math::positive_zero;
-use super::{Bsdf, DeltaKind, Environment, Geometry, Picture, Scene, Shape, Texture};
+use super::{Bsdf, DeltaKind, Environment, Geometry, Mesh, Picture, Scene, Shape, Texture};
 use glam::DVec3;
 use sha2::{Digest, Sha256};
 
@@ -22,20 +22,21 @@ impl Scene {
         }
         state.update((self.shapes.len() as u64).to_le_bytes());
         for shape in &self.shapes {
-            match shape.geometry {
-                Geometry::Sphere { center, radius, inward } => {
+            match &shape.geometry {
+                &Geometry::Sphere { center, radius, inward } => {
                     state.update(if inward { b"i" } else { b"s" });
                     vectors(&mut state, &[center]);
                     numbers(&mut state, &[radius]);
                 }
-                Geometry::Rectangle { center, half_u, half_v } => {
+                &Geometry::Rectangle { center, half_u, half_v } => {
                     state.update(b"r");
                     vectors(&mut state, &[center, half_u, half_v]);
                 }
-                Geometry::Disk { center, half_u, half_v } => {
+                &Geometry::Disk { center, half_u, half_v } => {
                     state.update(b"d");
                     vectors(&mut state, &[center, half_u, half_v]);
                 }
+                Geometry::Mesh(mesh) => self::mesh(&mut state, mesh),
             }
             vectors(&mut state, &[shape.albedo, shape.radiance]);
             material(&mut state, shape);
@@ -120,6 +121,17 @@ fn picture(state: &mut Sha256, picture: &Picture) {
     state.update(picture.width.to_le_bytes());
     state.update(picture.height.to_le_bytes());
     picture.texels.iter().flatten().for_each(|v| state.update(v.to_bits().to_le_bytes()));
+}
+
+fn mesh(state: &mut Sha256, mesh: &Mesh) {
+    state.update(b"m");
+    for count in [mesh.positions.len(), mesh.triangles.len(), mesh.normals.len(), mesh.uvs.len()] {
+        state.update((count as u64).to_le_bytes());
+    }
+    mesh.triangles.as_flattened().iter().for_each(|i| state.update(i.to_le_bytes()));
+    vectors(state, &mesh.positions);
+    vectors(state, &mesh.normals);
+    mesh.uvs.iter().for_each(|uv| numbers(state, &uv.to_array()));
 }
 
 fn vectors(state: &mut Sha256, vectors: &[DVec3]) {

@@ -88,7 +88,7 @@ impl Bsdf {
 
 /// A reflectance that varies over the surface parameters (u, v). On a rectangle u and v run from 0 to 1 along `half_u` and `half_v`;
 /// on a sphere u is the longitude about z from x, as part of a turn, and v the angle from z as part of half a turn. On a disk u is the distance
-/// from the centre as part of the radius, and v the angle from `half_u` toward `half_v` as part of a turn.
+/// from the centre as part of the radius, and v the angle from `half_u` toward `half_v` as part of a turn. A mesh has its own u and v.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Texture {
     /// Two colours, of which [`super::Shape::albedo`] is the first.

@@ -6,17 +6,21 @@ mod hash;
 mod light;
 mod material;
 pub mod math;
+mod mesh;
 pub mod mitsuba;
 pub mod rooms;
 mod spec;
+pub mod tessellate;
 pub mod validate;
 
 pub use light::{DeltaKind, DeltaLight, Environment, EnvironmentMap, Falloff};
 pub use material::{Bitmap, Bsdf, Checker, Filter, IOR_RANGE, MIN_ROUGHNESS, Picture, Texture, Wrap};
+pub use mesh::{MAX_TRIANGLES, Mesh};
 pub use spec::{Loaded, Spec};
 
 use glam::{DMat4, DVec3};
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 /// What makes a camera blur what is not in focus.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,6 +78,8 @@ pub enum Geometry {
         /// The other radius; perpendicular to `half_u`.
         half_v: DVec3,
     },
+    /// Triangles.
+    Mesh(Arc<Mesh>),
 }
 
 impl Geometry {
@@ -84,6 +90,7 @@ impl Geometry {
             Self::Sphere { radius, .. } => 4.0 * PI * radius * radius,
             Self::Rectangle { half_u, half_v, .. } => 4.0 * half_u.length() * half_v.length(),
             Self::Disk { half_u, half_v, .. } => PI * half_u.length() * half_v.length(),
+            Self::Mesh(mesh) => mesh.area(),
         }
     }
 
@@ -94,6 +101,7 @@ impl Geometry {
             Self::Sphere { center, radius, .. } => (center, DVec3::splat(radius)),
             Self::Rectangle { center, half_u, half_v } => (center, half_u.abs() + half_v.abs()),
             Self::Disk { center, half_u, half_v } => (center, (half_u * half_u + half_v * half_v).map(f64::sqrt)),
+            Self::Mesh(ref mesh) => return mesh.bounds(),
         };
         (center - reach, center + reach)
     }
@@ -105,6 +113,7 @@ impl Geometry {
             Self::Sphere { center, radius, .. } => (center, radius),
             Self::Rectangle { center, half_u, half_v } => (center, half_u.dot(normal).abs() + half_v.dot(normal).abs()),
             Self::Disk { center, half_u, half_v } => (center, half_u.dot(normal).hypot(half_v.dot(normal))),
+            Self::Mesh(ref mesh) => return mesh.span(origin, normal),
         };
         let distance = (center - origin).dot(normal);
         (distance - reach, distance + reach)

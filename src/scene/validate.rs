@@ -69,6 +69,15 @@ impl Shape {
     /// Refuses a shape that cannot be rendered; see [`Scene::validate`].
     pub fn validate(&self) -> Result<()> {
         match self.geometry {
+            Geometry::Mesh(ref mesh) => {
+                mesh.validate()?;
+                if self.texture.is_some() && mesh.uvs.is_empty() {
+                    return Err(Error::input("a texture on a mesh without texture coordinates"));
+                }
+                if self.radiance != DVec3::ZERO && !mesh.normals.is_empty() {
+                    return Err(Error::input("a mesh that emits must be flat, without vertex normals"));
+                }
+            }
             Geometry::Sphere { center, radius, .. } => {
                 check_point("center", center)?;
                 if !(MIN_LENGTH..=MAX_LENGTH).contains(&radius) {

@@ -61,15 +61,19 @@ fn f64s(v: [f32; 4]) -> DVec3 {
 }
 
 /// Numbers in [0, 1) of a stream.
-struct Numbers(u64, u64);
+pub(super) struct Numbers(u64, u64);
 
 impl Numbers {
-    fn next(&mut self) -> f64 {
+    pub(super) fn new(seed: u64) -> Self {
+        Self(seed, 0)
+    }
+
+    pub(super) fn next(&mut self) -> f64 {
         self.1 += 1;
         uniform(self.0, self.1)
     }
 
-    fn direction(&mut self) -> DVec3 {
+    pub(super) fn direction(&mut self) -> DVec3 {
         let z = 1.0 - 2.0 * self.next();
         let (sin, cos) = (std::f64::consts::TAU * self.next()).sin_cos();
         let r = (1.0 - z * z).sqrt();
@@ -100,7 +104,7 @@ const RAYS: usize = 1 << 16;
 
 /// Rays from `distance` radii off a sphere's centre. `passing` gives how far from the centre they pass, in radii, for a number.
 fn queries(name: &str, radius: f64, distance: f64, passing: impl Fn(f64) -> f64) -> Vec<Query> {
-    let mut u = Numbers(seed_of(name), 0);
+    let mut u = Numbers::new(seed_of(name));
     let query = |_| {
         let center = radius * u.direction();
         let away = u.direction();

@@ -8,6 +8,7 @@ mod accumulation;
 mod geometry;
 mod intersection;
 mod lights;
+mod meshes;
 mod network;
 mod outcome;
 mod platform;
@@ -54,6 +55,7 @@ pub fn cases() -> Vec<Case> {
         sampling::CASES,
         intersection::CASES,
         geometry::CASES,
+        meshes::CASES,
         scenes::CASES,
         accumulation::CASES,
         platform::CASES,

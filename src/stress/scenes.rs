@@ -217,6 +217,8 @@ fn first_hit(scene: &Scene, o: DVec3, d: DVec3) -> Option<(f64, DVec3, usize, f6
                 clearance = clearance.min((edge - 1.0).abs());
                 (t > 0.0 && edge < 1.0).then_some((t, normal))
             }
+            // The scenes of this case have none.
+            Geometry::Mesh(_) => None,
         };
         if let Some((t, n)) = hit.filter(|(t, _)| *t > 0.0 && best.is_none_or(|(b, ..)| *t < b)) {
             best = Some((t, n, i));

@@ -6,9 +6,10 @@ use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::metrics::different_values;
 use crate::render::{Estimator, Renderer, Sampler, Settings};
-use crate::scene::{Bsdf, Camera, DeltaKind, Geometry, Scene, Shape, family};
+use crate::scene::{Bsdf, Camera, DeltaKind, Geometry, Mesh, Scene, Shape, family};
 use crate::{Error, Result};
-use glam::{DMat4, DVec3};
+use glam::{DMat4, DQuat, DVec3};
+use std::sync::Arc;
 
 /// Every way to render.
 pub fn techniques() -> impl Iterator<Item = (Estimator, Sampler)> {
@@ -66,6 +67,12 @@ pub fn rectangle(center: DVec3, half_u: DVec3, half_v: DVec3, albedo: f64, radia
     Shape { geometry: Geometry::Rectangle { center, half_u, half_v }, ..sphere([0.0; 3], 1.0, albedo, radiance) }
 }
 
+/// A mesh of one grey.
+#[must_use]
+pub fn mesh_of(mesh: Mesh, albedo: f64, radiance: f64) -> Shape {
+    Shape { geometry: Geometry::Mesh(Arc::new(mesh)), ..sphere([0.0; 3], 1.0, albedo, radiance) }
+}
+
 /// The six inner faces of the box [-1,1]^3.
 #[must_use]
 pub fn closed_box(albedo: f64, radiance: f64) -> Vec<Shape> {
@@ -117,6 +124,11 @@ pub fn placed(mut scene: Scene, scale: f64, shift: DVec3) -> Scene {
                 *half_u *= scale;
                 *half_v *= scale;
             }
+            Geometry::Mesh(mesh) => Arc::make_mut(mesh).transform(DMat4::from_scale_rotation_translation(
+                DVec3::splat(scale),
+                DQuat::IDENTITY,
+                shift,
+            )),
         }
     }
     scene

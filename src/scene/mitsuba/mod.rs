@@ -1,7 +1,7 @@
 //! Mitsuba 3 XML: the subset that limpid renders, read and written.
 //!
 //! Read are: `sphere` (`center`, `radius`, `to_world` with uniform scale), `rectangle`, `disk` and `cube` (`to_world`
-//! without shear), each with `flip_normals` where it makes sense; the bsdfs `diffuse`, `conductor`, `roughconductor` (`ggx`,
+//! without shear), `obj` and `ply` (`filename`, `to_world`, `face_normals`, `flip_tex_coords`), each with `flip_normals` where it makes sense; the bsdfs `diffuse`, `conductor`, `roughconductor` (`ggx`,
 //! one `alpha`), `dielectric`, `plastic` and `twosided` with one bsdf; colours as `rgb` or one `float`, the diffuse ones also as a
 //! `checkerboard` or a `bitmap` (EXR, PNG, JPEG), each nested or by `ref`; the emitters `area`, `point`, `spot`, `directional`, `constant` and
 //! `envmap`; one `perspective` or `thinlens` sensor (`fov`, `fov_axis`, `to_world`; `aperture_radius`, `focus_distance`) with an `hdrfilm` (`width`, `height`, `box` filter) and a `sampler` (`sample_count`); the
@@ -16,6 +16,7 @@ mod files;
 mod load;
 mod material;
 mod media;
+mod meshes;
 mod object;
 mod picture;
 mod sensor;

@@ -1,6 +1,7 @@
 //! Shapes.
 
 use super::material::{Material, Materials};
+use super::meshes;
 use super::object::Object;
 use super::xml::Element;
 use crate::Result;
@@ -8,6 +9,7 @@ use crate::scene::camera::without_negative_zeros;
 use crate::scene::validate::{SHEAR_TOLERANCE, check_radiance};
 use crate::scene::{Geometry, Shape, Texture};
 use glam::{DMat3, DMat4, DVec3};
+use std::sync::Arc;
 
 /// A surface, and how its u and v differ from those of the file.
 struct Surface {
@@ -17,13 +19,14 @@ struct Surface {
 
 /// The shapes that an element stands for: one, six for a cube, none where it is passed over. `name` serves where it has no id.
 pub fn shapes(element: Element, name: String, materials: &Materials) -> Result<Vec<Shape>> {
-    let kinds = ["sphere", "rectangle", "disk", "cube"];
+    let kinds = ["sphere", "rectangle", "disk", "cube", "obj", "ply"];
     let Some(mut object) = Object::new(element, &kinds)? else { return Ok(Vec::new()) };
     let radiance = object.take_one_nested("emitter")?.map(emitter).transpose()?.flatten();
     let material = materials.of(&mut object, radiance.is_some())?;
     let surfaces = match object.kind() {
         "sphere" => sphere(&mut object, material.texture.is_some())?.into_iter().collect(),
         "cube" => cube(&mut object)?,
+        "obj" | "ply" => vec![mesh(&mut object, radiance.is_some())?],
         _ => flat(&mut object)?.into_iter().collect(),
     };
     object.finish()?;
@@ -158,4 +161,43 @@ fn cube(object: &mut Object) -> Result<Vec<Surface>> {
         }
     };
     Ok(CUBE.into_iter().map(face).collect())
+}
+
+/// A mesh from a file, in world space.
+fn mesh(object: &mut Object, emits: bool) -> Result<Surface> {
+    let element = object.element;
+    let file = object.string("filename")?;
+    let file = file.ok_or_else(|| element.error(format!("{} lacks <string name=\"filename\">", element.words())))?;
+    let to_world = affine(object)?;
+    let flat = object.boolean("face_normals")? == Some(true);
+    let flip = object.boolean("flip_normals")? == Some(true);
+    // Mitsuba's defaults.
+    let flip_v = object.boolean("flip_tex_coords")?.unwrap_or(object.kind() == "obj");
+    let mut mesh =
+        meshes::read(&element.source.folder.join(file), object.kind()).map_err(|error| element.error(error))?;
+    if flat {
+        mesh.normals.clear();
+    }
+    mesh.transform(to_world);
+    if flip_v {
+        mesh.uvs.iter_mut().for_each(|uv| uv.y = 1.0 - uv.y);
+    }
+    if mesh.is_sound() {
+        let dropped = mesh.drop_degenerate();
+        if dropped > 0 {
+            element.note(format!("{}: {dropped} triangles have no area", element.words()));
+        }
+        if mesh.normals.is_empty() && !flat && !emits {
+            mesh.smooth();
+        }
+    }
+    if flip {
+        mesh.flip();
+    }
+    if emits && !flat {
+        let needed = "a mesh that emits must be flat: add <boolean name=\"face_normals\" value=\"true\"/>";
+        element.unsupported(format!("{}: {needed}", element.words()))?;
+        mesh.normals.clear();
+    }
+    Ok(Surface { geometry: Geometry::Mesh(Arc::new(mesh)), texture: |texture| texture })
 }

@@ -4,6 +4,7 @@ use super::transform::swap_camera_convention;
 use crate::scene::{
     Bitmap, Bsdf, Checker, DeltaKind, DeltaLight, Environment, Filter, Geometry, Picture, Scene, Shape, Texture, Wrap,
 };
+use crate::{Error, Result};
 use glam::{DMat4, DVec3, DVec4};
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -16,8 +17,12 @@ const INTEGRATOR: &str = r#"  <integrator type="path">
 
 /// The scene as XML that Mitsuba 3 renders to the same picture and that [`super::load_str`] reads back bit for bit
 /// (numbers have the shortest digits that identify them). It states 8 bounces and, as the parameters `spp`, `width` and
-/// `height`, 16 samples per pixel and the image size. Shape names become unique ids of letters, digits, `_` and `-`.
-pub fn write(scene: &Scene) -> String {
+/// `height`, 16 samples per pixel and the image size. Shape names become unique ids of letters, digits, `_` and `-`. Meshes
+/// live in files of their own and are refused.
+pub fn write(scene: &Scene) -> Result<String> {
+    if let Some(shape) = scene.shapes.iter().find(|shape| matches!(shape.geometry, Geometry::Mesh(_))) {
+        return Err(Error::input(format!("'{}' is a mesh: scenes with meshes cannot be written as XML", shape.name)));
+    }
     let camera = &scene.camera;
     let mut xml = String::from("<scene version=\"3.0.0\">\n");
     for (name, value) in [("spp", 16), ("width", camera.width), ("height", camera.height)] {
@@ -45,7 +50,7 @@ pub fn write(scene: &Scene) -> String {
     scene.shapes.iter().for_each(|shape| write_shape(&mut xml, shape, &mut ids));
     scene.delta_lights.iter().for_each(|light| write_delta(&mut xml, light, &mut ids));
     scene.environment.iter().for_each(|environment| write_environment(&mut xml, environment));
-    xml + "</scene>\n"
+    Ok(xml + "</scene>\n")
 }
 
 fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
@@ -53,6 +58,7 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
         Geometry::Sphere { .. } => "sphere",
         Geometry::Rectangle { .. } => "rectangle",
         Geometry::Disk { .. } => "disk",
+        Geometry::Mesh(_) => "ply",
     };
     line(xml, &format!("  <shape type=\"{kind}\" id=\"{}\">", unique_id(&shape.name, kind, ids)));
     match shape.geometry {
@@ -69,6 +75,8 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
             let matrix = DMat4::from_cols(columns[0], columns[1], columns[2], center.extend(1.0));
             line(xml, &format!("    {}", to_world(matrix)));
         }
+        // Refused before.
+        Geometry::Mesh(_) => {}
     }
     let bsdf = bsdf(shape);
     line(

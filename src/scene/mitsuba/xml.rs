@@ -102,6 +102,11 @@ impl<'a> Element<'a> {
         Error::input(format!("{}:{line}: {message}", self.source.file))
     }
 
+    /// Notes, at this element's line, what the caller should know.
+    pub fn note(&self, message: impl std::fmt::Display) {
+        self.source.context.note(self.error(message).to_string());
+    }
+
     /// For what limpid lacks and Mitsuba may have: an error or, where the user asked for that, a note.
     pub fn unsupported(&self, message: impl std::fmt::Display) -> Result<()> {
         let error = self.error(message);
