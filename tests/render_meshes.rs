@@ -69,7 +69,7 @@ fn triangles_have_the_materials_of_rectangles() {
         position: DVec3::new(-0.5, 0.5, 0.4),
         intensity: DVec3::new(0.5, 0.7, 0.9),
     });
-    compare(&gpu, &scene, &[(Estimator::Cosine, Sampler::Sobol), (Estimator::Nee, Sampler::Pcg)]);
+    compare(&gpu, &scene, &[(Estimator::Nee, Sampler::Pcg), (Estimator::Nee, Sampler::Sobol)]);
 }
 
 fn is_rectangle(shape: &Shape) -> bool {
