@@ -8,7 +8,9 @@ use glam::{DMat2, DQuat, DVec2, DVec3};
 use limpid::gpu::Gpu;
 use limpid::render::{Estimator, Renderer, Sampler, Settings};
 use limpid::scene::tessellate::{grid, hollow_box};
-use limpid::scene::{Bitmap, Bsdf, Filter, Geometry, Mesh, Picture, PointLight, Scene, Shape, Texture, Wrap};
+use limpid::scene::{
+    Bitmap, Bsdf, DeltaKind, DeltaLight, Filter, Geometry, Mesh, Picture, Scene, Shape, Texture, Wrap,
+};
 use limpid::stress::support::mesh_of;
 use render_support::*;
 
@@ -64,10 +66,10 @@ fn triangles_have_the_materials_of_rectangles() {
     let last = scene.shapes.iter_mut().rfind(|s| is_rectangle(s)).expect("walls");
     (last.texture, last.two_sided) = (Some(Texture::Bitmap(bitmap)), true);
     scene.shapes.push(pane);
-    scene.points.push(PointLight {
+    scene.delta_lights.push(DeltaLight {
         name: "lamp".into(),
-        position: DVec3::new(-0.5, 0.5, 0.4),
         intensity: DVec3::new(0.5, 0.7, 0.9),
+        kind: DeltaKind::Point { position: DVec3::new(-0.5, 0.5, 0.4) },
     });
     compare(&gpu, &scene, &[(Estimator::Nee, Sampler::Pcg), (Estimator::Nee, Sampler::Sobol)]);
 }
