@@ -348,7 +348,7 @@ fn lenient_leaves_out_and_names_it() {
     let expected = [
         (10, "sheared cube"),
         (11, "projector"),
-        (12, "<emitter"),
+        (12, "'sky'"),
         (13, "<medium"),
         (3, "volpath"),
         (4, "bumpmap"),

@@ -29,7 +29,7 @@ const MOST_SAMPLES: u32 = 1 << 20;
 #[derive(Debug, clap::Args)]
 #[command(allow_negative_numbers = true)]
 pub struct Args {
-    /// `spheres` (the canonical frame), `spheres:N` (scene N of the random family) or a Mitsuba 3 XML file
+    /// `spheres` (the canonical frame), `spheres:N` (scene N of the random family) or a Mitsuba 3 XML or glTF file
     #[arg(default_value = "spheres")]
     pub scene: String,
     /// EXR file to write [default: the scene's name in the current directory]

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 /// `limpid render` reads the file back to the same bits, and Mitsuba 3 renders it as it is.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// `spheres` (the canonical frame), `spheres:N`, `rooms:N` (scene N of a random family) or a Mitsuba 3 XML file
+    /// `spheres` (the canonical frame), `spheres:N`, `rooms:N` (scene N of a random family) or a Mitsuba 3 XML or glTF file
     #[arg(default_value = "spheres")]
     scene: String,
     /// XML file to write [default: standard output]

@@ -2,6 +2,7 @@
 
 mod camera;
 pub mod family;
+pub mod gltf;
 mod hash;
 mod light;
 mod material;

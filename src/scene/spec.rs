@@ -1,8 +1,8 @@
 //! What a user may name as a scene: `spheres`, `spheres:N`, `rooms:N` or a file.
 
-use super::{Scene, family, mitsuba, rooms};
+use super::{Scene, family, gltf, mitsuba, rooms};
 use crate::{Error, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A scene as named on the command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -13,7 +13,7 @@ pub enum Spec {
     Family(u64),
     /// `rooms:N`: scene N of the other family.
     Rooms(u64),
-    /// A Mitsuba 3 XML file.
+    /// A Mitsuba 3 XML or glTF 2.0 file.
     File(PathBuf),
 }
 
@@ -58,6 +58,7 @@ impl Spec {
     /// the 768x768 of the other kinds.
     pub fn load(&self, options: &mitsuba::Options) -> Result<Loaded> {
         let scene = match self {
+            Self::File(path) if is_gltf(path) => return gltf::load(path, options),
             Self::File(path) => return mitsuba::load(path, options),
             _ if !options.parameters.is_empty() => {
                 return Err(Error::input("parameters ($name) go with a scene file, not with the built-in scenes"));
@@ -88,6 +89,11 @@ impl Spec {
     }
 }
 
+fn is_gltf(path: &Path) -> bool {
+    let extension = path.extension().unwrap_or_default();
+    ["gltf", "glb"].iter().any(|known| extension.eq_ignore_ascii_case(known))
+}
+
 fn sized(mut scene: Scene, options: &mitsuba::Options) -> Result<Loaded> {
     if let Some((width, height)) = options.size {
         (scene.camera.width, scene.camera.height) = (width, height);
@@ -97,7 +103,7 @@ fn sized(mut scene: Scene, options: &mitsuba::Options) -> Result<Loaded> {
 }
 
 impl Scene {
-    /// Loads the scene named `spec`: `spheres`, `spheres:N`, `rooms:N` or the path of a Mitsuba 3 XML file.
+    /// Loads the scene named `spec`: `spheres`, `spheres:N`, `rooms:N` or the path of a Mitsuba 3 XML or glTF 2.0 file.
     pub fn from_spec(spec: &str) -> Result<Self> {
         Ok(spec.parse::<Spec>()?.load(&mitsuba::Options::default())?.scene)
     }

@@ -34,7 +34,7 @@ use std::path::{Path, PathBuf};
 /// stopped; more --runs or --spp add to what is there.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// `spheres`, `spheres:N`, `rooms:N` or a Mitsuba 3 XML file
+    /// `spheres`, `spheres:N`, `rooms:N` or a Mitsuba 3 XML or glTF file
     #[arg(default_value = "spheres")]
     scene: String,
     /// Folder of the results

@@ -59,9 +59,9 @@ pub fn load(path: impl AsRef<Path>, options: &Options) -> Result<Loaded> {
 fn read_text(path: &Path, what: &str) -> Result<String> {
     let shown = path.display();
     let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => {
-            Error::input(format!("{what} '{shown}': no such file; give spheres, spheres:N or a Mitsuba 3 XML file"))
-        }
+        std::io::ErrorKind::NotFound => Error::input(format!(
+            "{what} '{shown}': no such file; give spheres, spheres:N, a Mitsuba 3 XML or a glTF file"
+        )),
         _ => Error::io(path, error),
     })?;
     if metadata.is_dir() {
