@@ -46,13 +46,13 @@ pub struct Features {
     pub checkers: bool,
     /// A surface has a picture.
     pub bitmaps: bool,
-    /// One bit a kind of material that a surface has beyond diffuse ones, as [`material_kind`] counts them.
+    /// One bit a kind of material that a surface has beyond diffuse ones, as the shader counts them.
     pub materials: u32,
     /// A surface scatters on both sides.
     pub two_sided: bool,
     /// Lights that no ray meets.
     pub delta_count: u32,
-    /// One bit a kind of them, as [`delta_kind`] counts them.
+    /// One bit a kind of them, as the shader counts them.
     pub delta_kinds: u32,
     /// What surrounds the scene: 0 nothing, 1 the same radiance from everywhere, 2 a map.
     pub environment: u32,
