@@ -32,6 +32,13 @@ fn green(gpu: &Gpu, scene: &Scene, settings: &Settings) -> Vec<f64> {
     render(gpu, scene, settings).channels["G"].iter().map(|&v| f64::from(v)).collect()
 }
 
+/// A wide plate in the plane z = 0, seen at an angle from its normal through a narrow field of view.
+fn plate_at(degrees: f64, (fov, size): (f64, u32), bsdf: Bsdf, albedo: f64) -> Scene {
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let plate = with(bsdf, rectangle(DVec3::ZERO, DVec3::X * 1e3, DVec3::Y * 1e3, albedo, 0.0));
+    Scene::new(look(DVec3::new(sin, 0.0, cos), DVec3::ZERO, fov, size, size), vec![plate])
+}
+
 /// The mean is `expected` within the noise and a relative bias; too much noise proves nothing.
 fn assert_mean(values: &[f64], expected: f64, bias: f64, what: &str) {
     let (mean, error) = mean_error(values);
@@ -91,11 +98,9 @@ fn metals_reflect_by_fresnel() {
     let gpu = device();
     for (eta, k) in [(0.2, 3.9), (1.44, 1.6), (4.4, 5.2), (2.0, 0.0)] {
         for degrees in [0.0f64, 40.0, 75.0, 88.0] {
-            let (sin, cos) = degrees.to_radians().sin_cos();
+            let cos = degrees.to_radians().cos();
             let metal = Bsdf::Conductor { eta: DVec3::new(9.0, eta, 9.0), k: DVec3::new(9.0, k, 9.0), roughness: None };
-            let plate = with(metal, rectangle(DVec3::ZERO, DVec3::X * 1e3, DVec3::Y * 1e3, 0.5, 0.0));
-            let camera = look(DVec3::new(sin, 0.0, cos), DVec3::ZERO, 0.01, 4, 4);
-            let scene = under(1.0, Scene::new(camera, vec![plate]));
+            let scene = under(1.0, plate_at(degrees, (0.01, 4), metal, 0.5));
             let (value, _) = mean_error(&green(&gpu, &scene, &settings(1, 1, (Estimator::Nee, Sampler::Pcg))));
             let expected = 0.5 * fresnel(cos, eta, k);
             // At 88 degrees 0.005 degrees of the field of view change the reflectance by some 1e-4, and evenly to both sides.
@@ -133,10 +138,8 @@ fn rough_metal_in_a_furnace() {
     let gpu = device();
     for alpha in [0.05, 0.3, 0.9] {
         for degrees in [0.0f64, 45.0, 80.0] {
-            let (sin, cos) = degrees.to_radians().sin_cos();
-            let plate = with(rough(alpha), rectangle(DVec3::ZERO, DVec3::X * 1e3, DVec3::Y * 1e3, 1.0, 0.0));
-            let camera = look(DVec3::new(sin, 0.0, cos), DVec3::ZERO, 0.1, 24, 24);
-            let scene = under(1.0, Scene::new(camera, vec![plate]));
+            let cos = degrees.to_radians().cos();
+            let scene = under(1.0, plate_at(degrees, (0.1, 24), rough(alpha), 1.0));
             for choice in techniques() {
                 let values = green(&gpu, &scene, &settings(64, 1, choice));
                 // 1e-4: the field of view spans 0.1 degrees.
@@ -152,12 +155,9 @@ fn white_plastic_in_a_furnace() {
     let gpu = device();
     for ior in [1.3, 1.5, 1.9] {
         for degrees in [0.0f64, 60.0, 85.0] {
-            let (sin, cos) = degrees.to_radians().sin_cos();
             let bsdf = Bsdf::Plastic { ior, specular: DVec3::ONE, nonlinear: true };
-            let plate = with(bsdf, rectangle(DVec3::ZERO, DVec3::X * 1e3, DVec3::Y * 1e3, 1.0, 0.0));
-            let camera = look(DVec3::new(sin, 0.0, cos), DVec3::ZERO, 0.1, 24, 24);
+            let scene = under(1.0, plate_at(degrees, (0.1, 24), bsdf, 1.0));
             for choice in techniques() {
-                let scene = under(1.0, Scene::new(camera.clone(), vec![plate.clone()]));
                 assert_mean(
                     &green(&gpu, &scene, &settings(64, 1, choice)),
                     1.0,
@@ -177,10 +177,8 @@ fn one_surface_of_glass() {
         for degrees in [0.0f64, 30.0, 60.0, 80.0] {
             let (sin, cos) = degrees.to_radians().sin_cos();
             let glass = Bsdf::Dielectric { ior, transmittance: DVec3::splat(0.5) };
-            let pane = with(glass, rectangle(DVec3::ZERO, DVec3::X * 1e3, DVec3::Y * 1e3, 0.25, 0.0));
-            let panel = rectangle(DVec3::NEG_Z * 0.1, DVec3::X * 2e3, DVec3::Y * 2e3, 0.0, 3.0);
-            let camera = look(DVec3::new(sin, 0.0, cos), DVec3::ZERO, 0.1, 24, 24);
-            let scene = under(2.0, Scene::new(camera, vec![pane, panel]));
+            let mut scene = under(2.0, plate_at(degrees, (0.1, 24), glass, 0.25));
+            scene.shapes.push(rectangle(DVec3::NEG_Z * 0.1, DVec3::X * 2e3, DVec3::Y * 2e3, 0.0, 3.0));
             let cos_t = (1.0 - sin * sin / (ior * ior)).max(0.0).sqrt();
             let s = (cos - ior * cos_t) / (cos + ior * cos_t);
             let p = (cos_t - ior * cos) / (cos_t + ior * cos);
@@ -388,13 +386,7 @@ fn light_sampling_shows_what_chance_shows() {
             scene.shapes.extend([with(bsdf, floor()), with(bsdf, sphere([-0.3, -0.5, 0.0], 0.5, 0.7, 0.0))]);
             let means = |estimator, spp| {
                 let s = Settings { spp, estimator, bounces: 3, sampler: Sampler::Pcg, ..Settings::default() };
-                let mut renderer = Renderer::new(&gpu, &scene, &s).expect("renderer");
-                let mean = |seed| {
-                    renderer.set_seed(seed);
-                    renderer.finish().expect("render");
-                    mean_error(&surface(&renderer.image().expect("image"), "G")).0
-                };
-                mean_error(&(1..=16).map(mean).collect::<Vec<_>>())
+                mean_of_seeds(&gpu, &scene, &s)
             };
             let ((nee, nee_error), (chance, chance_error)) = (means(Estimator::Nee, 64), means(Estimator::Cosine, 256));
             let error = nee_error.hypot(chance_error);

@@ -139,13 +139,7 @@ fn mesh_lights_beside_others() {
     }
     let means = |estimator| {
         let s = Settings { spp: 64, estimator, sampler: Sampler::Pcg, ..Settings::default() };
-        let mut renderer = Renderer::new(&gpu, &scene, &s).expect("renderer");
-        let mean = |seed| {
-            renderer.set_seed(seed);
-            renderer.finish().expect("render");
-            mean_error(&surface(&renderer.image().expect("image"), "G")).0
-        };
-        mean_error(&(1..=16).map(mean).collect::<Vec<_>>())
+        mean_of_seeds(&gpu, &scene, &s)
     };
     let ((nee, nee_error), (cosine, cosine_error)) = (means(Estimator::Nee), means(Estimator::Cosine));
     let error = nee_error.hypot(cosine_error);

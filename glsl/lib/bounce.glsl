@@ -58,7 +58,7 @@ Bounce sample_bounce(Vertex v, vec2 u) {
         b.squeeze = reflects ? 1.0 : 1.0 / (eta * eta);
         b.weight = row(surface_of(v), reflects ? MATERIAL_A : MATERIAL_B).rgb * b.squeeze;
         if (!reflects) {
-            // From the other side of the surface, as far off it. The albedo is what it reflects.
+            // From the other side of the surface, as far off it.
             b.o = v.p - 2.0 * g_offset * v.n;
             inside = !inside;
         }

@@ -188,7 +188,6 @@ vec3 emission(Vertex v, vec3 o, vec3 d, float t, float pdf_bounce, uint chosen) 
                 vec3 to_center = sphere.xyz - o;
                 float s2 = sphere.w * sphere.w / dot(to_center, to_center);
                 float share = radiance.w - share_begin(light);
-                if (ONE_LIGHT) share = 1.0;
                 // A receiver inside the light has no light sample of it.
                 float pdf_light = s2 < 1.0 ? share / (2.0 * PI * cone_one_minus_cos(s2)) : 0.0;
                 weight = pdf_bounce / (pdf_bounce + pdf_light);

@@ -7,7 +7,7 @@
 //! The box, its colours, the field of view and the camera's base are those of the canonical frame ([`canonical`]).
 
 use super::math::{positive_zero, sin_cos_degrees};
-use super::{Bsdf, Camera, Geometry, Scene, Shape, mitsuba};
+use super::{Camera, Geometry, Material, Scene, mitsuba};
 use glam::{DMat3, DMat4, DVec3};
 use std::ops::RangeInclusive;
 
@@ -110,15 +110,9 @@ impl Member {
         scene.shapes.retain(|shape| matches!(shape.geometry, Geometry::Rectangle { .. }));
         for (i, path) in self.paths.iter().enumerate() {
             let radiance = if i == 0 { 12.0 * (0.2 / path.radius) * (0.2 / path.radius) } else { 0.0 };
-            scene.shapes.push(Shape {
-                name: SPHERE_NAMES[i].to_owned(),
-                geometry: Geometry::Sphere { center: path.center(t), radius: path.radius, inward: false },
-                albedo: self.albedos[i],
-                texture: None,
-                bsdf: Bsdf::Diffuse,
-                two_sided: false,
-                radiance: DVec3::splat(radiance),
-            });
+            let geometry = Geometry::Sphere { center: path.center(t), radius: path.radius, inward: false };
+            let material = Material::diffuse(self.albedos[i]);
+            scene.shapes.push(material.shape(SPHERE_NAMES[i].to_owned(), geometry, DVec3::splat(radiance)));
         }
         scene
     }

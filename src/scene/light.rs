@@ -125,12 +125,16 @@ impl Environment {
     pub fn max_radiance(&self) -> f64 {
         match self {
             Self::Constant(radiance) => radiance.max_element(),
-            Self::Map(map) => map.scale * map.picture.texels.iter().flatten().fold(0.0f64, |m, &v| m.max(f64::from(v))),
+            Self::Map(map) => map.max_radiance(),
         }
     }
 }
 
 impl EnvironmentMap {
+    fn max_radiance(&self) -> f64 {
+        self.scale * self.picture.texels.iter().flatten().fold(0.0f64, |m, &v| m.max(f64::from(v)))
+    }
+
     fn validate(&self) -> Result<()> {
         let picture = &self.picture;
         if picture.width < 2 || picture.height < 3 {
@@ -147,6 +151,6 @@ impl EnvironmentMap {
         }
         check_radiance(DVec3::splat(self.scale))?;
         picture.check(check_radiance)?;
-        check_radiance(DVec3::splat(Environment::Map(self.clone()).max_radiance()))
+        check_radiance(DVec3::splat(self.max_radiance()))
     }
 }

@@ -1,6 +1,7 @@
 //! How surfaces scatter light: reflection models and textures.
 
 use super::validate::{MAX_REPEATS, check_albedo};
+use super::{Geometry, Shape};
 use crate::{Error, Result};
 use glam::{DMat2, DVec2, DVec3, Vec2Swizzles};
 use std::path::PathBuf;
@@ -13,7 +14,7 @@ pub const MIN_ROUGHNESS: f64 = 1e-3;
 /// The largest eta and k of a conductor.
 const MAX_CONDUCTOR: f64 = 100.0;
 
-/// How a surface scatters light, as the plugins of Mitsuba 3 of the same names. [`super::Shape::albedo`] is the colour that the user
+/// How a surface scatters light, as the plugins of Mitsuba 3 of the same names. [`Shape::albedo`] is the colour that the user
 /// sees first; what else there is stands here. All but `Dielectric` reflect on their front only.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Bsdf {
@@ -86,14 +87,42 @@ impl Bsdf {
     }
 }
 
+/// What a surface is made of: all of a [`Shape`] but where it is and what it emits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Material {
+    /// See [`Shape::albedo`].
+    pub albedo: DVec3,
+    /// See [`Shape::texture`].
+    pub texture: Option<Texture>,
+    /// See [`Shape::bsdf`].
+    pub bsdf: Bsdf,
+    /// See [`Shape::two_sided`].
+    pub two_sided: bool,
+}
+
+impl Material {
+    /// One-sided and Lambertian, of one colour.
+    #[must_use]
+    pub fn diffuse(albedo: DVec3) -> Self {
+        Self { albedo, texture: None, bsdf: Bsdf::Diffuse, two_sided: false }
+    }
+
+    /// A shape of it.
+    #[must_use]
+    pub fn shape(self, name: String, geometry: Geometry, radiance: DVec3) -> Shape {
+        let Self { albedo, texture, bsdf, two_sided } = self;
+        Shape { name, geometry, albedo, texture, bsdf, two_sided, radiance }
+    }
+}
+
 /// A reflectance that varies over the surface parameters (u, v). On a rectangle u and v run from 0 to 1 along `half_u` and `half_v`;
 /// on a sphere u is the longitude about z from x, as part of a turn, and v the angle from z as part of half a turn. On a disk u is the distance
 /// from the centre as part of the radius, and v the angle from `half_u` toward `half_v` as part of a turn. A mesh has its own u and v.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Texture {
-    /// Two colours, of which [`super::Shape::albedo`] is the first.
+    /// Two colours, of which [`Shape::albedo`] is the first.
     Checker(Checker),
-    /// A picture, which replaces [`super::Shape::albedo`].
+    /// A picture, which replaces [`Shape::albedo`].
     Bitmap(Bitmap),
 }
 
@@ -129,7 +158,7 @@ impl Texture {
 /// neither of the fractions of uv are above 1/2 lies the first reflectance, elsewhere the second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Checker {
-    /// The second reflectance, linear RGB, each in [0, 1]; [`super::Shape::albedo`] is the first.
+    /// The second reflectance, linear RGB, each in [0, 1]; [`Shape::albedo`] is the first.
     pub albedo: DVec3,
     /// Pairs of cells along u and v.
     pub repeats: DVec2,

@@ -71,12 +71,16 @@ impl Mesh {
 
     /// Drops the triangles that have no area; how many.
     pub fn drop_degenerate(&mut self) -> usize {
+        let before = self.triangles.len();
+        self.triangles = self.with_area().collect();
+        before - self.triangles.len()
+    }
+
+    /// The triangles that have an area.
+    fn with_area(&self) -> impl Iterator<Item = [u32; 3]> {
         let (low, high) = self.bounds();
         let limit = DEGENERATE * (high - low).length_squared();
-        let (mesh, before) = (&*self, self.triangles.len());
-        let sound: Vec<_> = mesh.triangles.iter().copied().filter(|t| mesh.cross(*t).length() > limit).collect();
-        self.triangles = sound;
-        before - self.triangles.len()
+        self.triangles.iter().copied().filter(move |t| self.cross(*t).length() > limit)
     }
 
     /// Normals for shading: at each vertex the mean of its triangles' normals, weighted by their angles there (Thürmer and
@@ -130,8 +134,7 @@ impl Mesh {
         if let Some(uv) = self.uvs.iter().find(|uv| !uv.is_finite()) {
             return fail(format!("a vertex has the texture coordinates {uv}"));
         }
-        let mut rest = self.clone();
-        match rest.drop_degenerate() {
+        match triangles - self.with_area().count() {
             0 => Ok(()),
             some => fail(format!("{some} triangles have no area")),
         }

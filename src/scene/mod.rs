@@ -15,7 +15,7 @@ pub mod tessellate;
 pub mod validate;
 
 pub use light::{DeltaKind, DeltaLight, Environment, EnvironmentMap, Falloff};
-pub use material::{Bitmap, Bsdf, Checker, Filter, IOR_RANGE, MIN_ROUGHNESS, Picture, Texture, Wrap};
+pub use material::{Bitmap, Bsdf, Checker, Filter, IOR_RANGE, MIN_ROUGHNESS, Material, Picture, Texture, Wrap};
 pub use mesh::{MAX_TRIANGLES, Mesh};
 pub use spec::{Loaded, Spec};
 

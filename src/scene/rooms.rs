@@ -7,7 +7,7 @@
 use super::camera::look_at_matrix;
 use super::family::{between, uniform_of};
 use super::math::sin_cos_degrees;
-use super::{Bsdf, Camera, Checker, Geometry, Scene, Shape, Texture};
+use super::{Camera, Checker, Geometry, Material, Scene, Shape, Texture};
 use glam::{DVec2, DVec3};
 
 /// The version of the family; it changes whenever any scene of it does.
@@ -137,15 +137,9 @@ fn walls(draws: &mut Draws, half: DVec3, patterns: bool) -> Vec<Shape> {
     let wall = |(i, (name, center, half_u, half_v)): (usize, (&str, DVec3, DVec3, DVec3))| {
         let own = draws.chance(if i < 3 { 0.3 } else { 0.7 });
         let color = draws.color(0.05, 0.85);
-        Shape {
-            name: name.to_owned(),
-            geometry: Geometry::Rectangle { center, half_u, half_v },
-            albedo: if own { color } else { shared },
-            texture: pattern(draws, patterns, 12.0).map(Texture::Checker),
-            bsdf: Bsdf::Diffuse,
-            two_sided: false,
-            radiance: DVec3::ZERO,
-        }
+        let texture = pattern(draws, patterns, 12.0).map(Texture::Checker);
+        let material = Material { texture, ..Material::diffuse(if own { color } else { shared }) };
+        material.shape(name.to_owned(), Geometry::Rectangle { center, half_u, half_v }, DVec3::ZERO)
     };
     faces.into_iter().enumerate().map(wall).collect()
 }
@@ -170,7 +164,7 @@ fn sphere(draws: &mut Draws, name: String, (center, radius): (DVec3, f64), patte
     let geometry = Geometry::Sphere { center, radius, inward: false };
     let albedo = draws.color(0.03, 0.9);
     let texture = pattern(draws, patterns, 6.0).map(Texture::Checker);
-    Shape { name, geometry, albedo, texture, bsdf: Bsdf::Diffuse, two_sided: false, radiance: DVec3::ZERO }
+    Material { texture, ..Material::diffuse(albedo) }.shape(name, geometry, DVec3::ZERO)
 }
 
 /// White or coloured, of luminance about 1.
@@ -190,15 +184,7 @@ fn sphere_light(draws: &mut Draws, placed: &mut Placed, level: f64, largest: f64
     let power = level * draws.scale(0.5, 2);
     let radiance = tint(draws) * (12.0 * (0.2 / radius) * (0.2 / radius) * power);
     let name = format!("light-{}", i + 1);
-    Shape {
-        name,
-        geometry: Geometry::Sphere { center, radius, inward: false },
-        albedo: DVec3::ZERO,
-        texture: None,
-        bsdf: Bsdf::Diffuse,
-        two_sided: false,
-        radiance,
-    }
+    Material::diffuse(DVec3::ZERO).shape(name, Geometry::Sphere { center, radius, inward: false }, radiance)
 }
 
 /// A rectangle a little under the ceiling.
@@ -209,15 +195,8 @@ fn ceiling_light(draws: &mut Draws, half: DVec3, level: f64, i: usize) -> Shape 
     let power = level * draws.scale(0.5, 2);
     // The radiance that a sphere light of this power and area has.
     let radiance = tint(draws) * (12.0 * 0.04 * std::f64::consts::PI / (4.0 * a * b) * power);
-    Shape {
-        name: format!("panel-{}", i + 1),
-        geometry: Geometry::Rectangle { center, half_u: DVec3::X * a, half_v: DVec3::Z * b },
-        albedo: DVec3::ZERO,
-        texture: None,
-        bsdf: Bsdf::Diffuse,
-        two_sided: false,
-        radiance,
-    }
+    let geometry = Geometry::Rectangle { center, half_u: DVec3::X * a, half_v: DVec3::Z * b };
+    Material::diffuse(DVec3::ZERO).shape(format!("panel-{}", i + 1), geometry, radiance)
 }
 
 /// Spheres that have their place, none touching another, a wall or the eye.

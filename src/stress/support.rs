@@ -6,7 +6,7 @@ use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::metrics::different_values;
 use crate::render::{Estimator, Renderer, Sampler, Settings};
-use crate::scene::{Bsdf, Camera, DeltaKind, Geometry, Mesh, Scene, Shape, family};
+use crate::scene::{Camera, DeltaKind, Geometry, Material, Mesh, Scene, Shape, family};
 use crate::{Error, Result};
 use glam::{DMat4, DQuat, DVec3};
 use std::sync::Arc;
@@ -43,15 +43,8 @@ pub fn render(gpu: &Gpu, scene: &Scene, settings: &Settings) -> Result<Image> {
 /// A sphere seen from outside, grey.
 #[must_use]
 pub fn sphere(center: [f64; 3], radius: f64, albedo: f64, radiance: f64) -> Shape {
-    Shape {
-        name: "sphere".into(),
-        geometry: Geometry::Sphere { center: center.into(), radius, inward: false },
-        albedo: DVec3::splat(albedo),
-        texture: None,
-        bsdf: Bsdf::Diffuse,
-        two_sided: false,
-        radiance: DVec3::splat(radiance),
-    }
+    let geometry = Geometry::Sphere { center: center.into(), radius, inward: false };
+    Material::diffuse(DVec3::splat(albedo)).shape("sphere".into(), geometry, DVec3::splat(radiance))
 }
 
 /// A sphere about the origin seen from inside.

@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
 use limpid::gpu::{DeviceOptions, Gpu};
 use limpid::image::Image;
-use limpid::render::Settings;
+use limpid::render::{Renderer, Settings};
 use limpid::scene::Scene;
 pub use limpid::stress::support::{
     SIGMAS, cavity, cornell, different_bits, disk, look, mean_error, rectangle, settings, sphere, surface, techniques,
@@ -46,6 +46,17 @@ pub fn device() -> Device {
 /// Renders all samples; none may be dropped and every channel must be finite.
 pub fn render(gpu: &Gpu, scene: &Scene, settings: &Settings) -> Image {
     limpid::stress::support::render(gpu, scene, settings).expect("render")
+}
+
+/// Mean of the surfaces' green over 16 seeds, and its standard error.
+pub fn mean_of_seeds(gpu: &Gpu, scene: &Scene, settings: &Settings) -> (f64, f64) {
+    let mut renderer = Renderer::new(gpu, scene, settings).expect("renderer");
+    let mean = |seed| {
+        renderer.set_seed(seed);
+        renderer.finish().expect("render");
+        mean_error(&surface(&renderer.image().expect("image"), "G")).0
+    };
+    mean_error(&(1..=16).map(mean).collect::<Vec<_>>())
 }
 
 pub fn assert_same_bits(a: &Image, b: &Image, what: &str) {

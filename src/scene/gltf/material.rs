@@ -7,7 +7,7 @@
 
 use super::Notes;
 use crate::scene::validate::{check_albedo, check_radiance};
-use crate::scene::{Bitmap, Bsdf, Filter, MIN_ROUGHNESS, Picture, Texture, Wrap};
+use crate::scene::{Bitmap, Bsdf, Filter, MIN_ROUGHNESS, Material, Picture, Texture, Wrap};
 use crate::{Error, Result};
 use glam::{DMat2, DVec2, DVec3};
 use gltf::image::Format;
@@ -20,13 +20,9 @@ use std::sync::Arc;
 /// The roughness up to which what is no metal is coated.
 const COATED: f32 = 0.1;
 
-/// A surface's material, and the set of texture coordinates that it needs.
-#[derive(Clone)]
-pub struct Material {
-    pub albedo: DVec3,
-    pub texture: Option<Texture>,
-    pub bsdf: Bsdf,
-    pub two_sided: bool,
+/// A surface's material, what it emits, and the set of texture coordinates that it needs.
+pub struct Surface {
+    pub material: Material,
     pub radiance: DVec3,
     pub uv_set: u32,
 }
@@ -46,7 +42,7 @@ impl<'a> Materials<'a> {
         Self { notes, images, pictures: RefCell::default() }
     }
 
-    pub fn of(&self, material: &gltf::Material) -> Result<Material> {
+    pub fn of(&self, material: &gltf::Material) -> Result<Surface> {
         let name = material.name().map_or_else(
             || material.index().map_or("the default material".to_owned(), |i| format!("material {i}")),
             |name| format!("material '{name}'"),
@@ -84,7 +80,7 @@ impl<'a> Materials<'a> {
         bsdf.validate().map_err(fail)?;
         let two_sided = material.double_sided() && !bsdf.transmits();
         let texture = if bsdf.transmits() { None } else { texture };
-        Ok(Material { albedo, texture, bsdf, two_sided, radiance, uv_set })
+        Ok(Surface { material: Material { albedo, texture, bsdf, two_sided }, radiance, uv_set })
     }
 
     /// What of a material limpid does not have.

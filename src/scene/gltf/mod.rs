@@ -198,8 +198,8 @@ impl Reading<'_> {
         if primitive.get(&gltf::Semantic::Colors(0)).is_some() {
             self.notes.unsupported(format!("mesh '{name}': colours of vertices are not supported"))?;
         }
-        let material = self.materials.of(&primitive.material())?;
-        let mut mesh = self.mesh(primitive, material.uv_set, name)?;
+        let surface = self.materials.of(&primitive.material())?;
+        let mut mesh = self.mesh(primitive, surface.uv_set, name)?;
         let fail = |error: Error| self.notes.error(format!("mesh '{name}': {error}"));
         if !mesh.is_sound() {
             return mesh.validate().map_err(fail).map(|()| None);
@@ -219,19 +219,11 @@ impl Reading<'_> {
         if mesh.triangles.is_empty() {
             return Ok(None);
         }
-        if material.radiance != DVec3::ZERO {
+        if surface.radiance != DVec3::ZERO {
             mesh.normals.clear();
         }
         mesh.validate().map_err(fail)?;
-        Ok(Some(Shape {
-            name: name.to_owned(),
-            geometry: Geometry::Mesh(Arc::new(mesh)),
-            albedo: material.albedo,
-            texture: material.texture,
-            bsdf: material.bsdf,
-            two_sided: material.two_sided,
-            radiance: material.radiance,
-        }))
+        Ok(Some(surface.material.shape(name.to_owned(), Geometry::Mesh(Arc::new(mesh)), surface.radiance)))
     }
 
     fn mesh(&self, primitive: &gltf::Primitive, uv_set: u32, name: &str) -> Result<Mesh> {

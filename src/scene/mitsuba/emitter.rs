@@ -74,8 +74,7 @@ fn delta(object: &mut Object, name: String) -> Result<DeltaLight> {
 
 fn map(object: &mut Object) -> Result<EnvironmentMap> {
     let element = object.element;
-    let file = object.string("filename")?;
-    let file = file.ok_or_else(|| element.error(format!("{} lacks <string name=\"filename\">", element.words())))?;
+    let file = object.filename()?;
     let scale = object.float("scale")?.unwrap_or(1.0);
     // Another way to draw the same directions.
     object.pass_over("mis_compensation");

@@ -6,7 +6,7 @@ use super::texture::{Textures, bitmap_or_checkerboard};
 use super::xml::{Element, Source};
 use crate::Result;
 use crate::scene::validate::check_albedo;
-use crate::scene::{Bsdf, Texture};
+use crate::scene::{Bsdf, Material};
 use glam::DVec3;
 use std::collections::BTreeMap;
 
@@ -14,20 +14,9 @@ use std::collections::BTreeMap;
 const DEFAULT_REFLECTANCE: f64 = 0.5;
 const KINDS: [&str; 6] = ["diffuse", "conductor", "roughconductor", "dielectric", "plastic", "twosided"];
 
-/// What a bsdf element says of a surface.
-#[derive(Clone)]
-pub struct Material {
-    pub albedo: DVec3,
-    pub texture: Option<Texture>,
-    pub bsdf: Bsdf,
-    pub two_sided: bool,
-}
-
-impl Default for Material {
-    fn default() -> Self {
-        let albedo = DVec3::splat(DEFAULT_REFLECTANCE);
-        Self { albedo, texture: None, bsdf: Bsdf::Diffuse, two_sided: false }
-    }
+/// What a surface is made of where the file does not say.
+fn default_material() -> Material {
+    Material::diffuse(DVec3::splat(DEFAULT_REFLECTANCE))
 }
 
 /// What shapes may refer to, by id.
@@ -60,19 +49,22 @@ impl Materials {
     /// The material of a shape: nested, by reference, or Mitsuba's default, which is black for what emits.
     pub fn of(&self, object: &mut Object, emits: bool) -> Result<Material> {
         let element = object.element;
-        let mut used = Vec::new();
-        for nested in object.take_nested("bsdf") {
-            used.push(self.bsdf(nested)?);
-        }
-        for (reference, id) in object.references()? {
-            let material = self.materials.get(&id).cloned();
-            used.push(material.ok_or_else(|| reference.error(format!("no bsdf has the id '{id}'")))?);
-        }
+        let mut used = self.used(object, |id| format!("no bsdf has the id '{id}'"))?;
         if used.len() > 1 {
             return Err(element.error(format!("{} has {} materials; it can have one", element.words(), used.len())));
         }
-        let default = if emits { Material { albedo: DVec3::ZERO, ..Material::default() } } else { Material::default() };
-        Ok(used.pop().unwrap_or(default))
+        Ok(used.pop().unwrap_or_else(|| if emits { Material::diffuse(DVec3::ZERO) } else { default_material() }))
+    }
+
+    /// The bsdfs that are nested in an object or that it refers to; `missing` says what is wrong with an id that is not known.
+    fn used(&self, object: &mut Object, missing: impl Fn(&str) -> String) -> Result<Vec<Material>> {
+        let nested = object.take_nested("bsdf").into_iter().map(|nested| self.bsdf(nested));
+        let mut used = nested.collect::<Result<Vec<_>>>()?;
+        for (reference, id) in object.references()? {
+            let material = self.materials.get(&id).cloned();
+            used.push(material.ok_or_else(|| reference.error(missing(&id)))?);
+        }
+        Ok(used)
     }
 
     fn bsdf(&self, element: Element) -> Result<Material> {
@@ -93,7 +85,7 @@ impl Materials {
     fn inner(&self, element: Element) -> Result<Material> {
         match element.children()?.into_iter().find(|child| child.tag() == "bsdf") {
             Some(nested) => self.bsdf(nested),
-            None => Ok(Material::default()),
+            None => Ok(default_material()),
         }
     }
 
@@ -105,7 +97,7 @@ impl Materials {
         if let (Some(texture), true) = (texture.as_ref(), color.is_some()) {
             return Err(texture.element.error(format!("{} has a {name} beside its texture", element.words())));
         }
-        let plain = Material { bsdf, ..Material::default() };
+        let plain = Material { bsdf, ..default_material() };
         Ok(match texture.and_then(|texture| texture.value) {
             Some((albedo, texture)) => Material { albedo, texture: Some(texture), ..plain },
             None => Material { albedo: color.unwrap_or(plain.albedo), ..plain },
@@ -121,18 +113,7 @@ impl Materials {
 
     fn two_sided(&self, object: &mut Object) -> Result<Material> {
         let element = object.element;
-        let mut nested = object.take_nested("bsdf").into_iter();
-        let mut inside = Vec::new();
-        for element in nested.by_ref() {
-            inside.push(self.bsdf(element)?);
-        }
-        for (reference, id) in object.references()? {
-            let material = self.materials.get(&id).cloned();
-            inside
-                .push(material.ok_or_else(|| {
-                    reference.error(format!("no bsdf before this one has the id '{id}'; move it up"))
-                })?);
-        }
+        let inside = self.used(object, |id| format!("no bsdf before this one has the id '{id}'; move it up"))?;
         if inside.len() > 1 {
             element.unsupported("a twosided bsdf with two materials is not supported; give it one for both sides")?;
         }
@@ -164,7 +145,7 @@ fn conductor(object: &mut Object) -> Result<Material> {
     };
     let albedo = object.color("specular_reflectance", check_albedo)?.unwrap_or(DVec3::ONE);
     let roughness = if rough { roughness(object)? } else { None };
-    Ok(Material { albedo, bsdf: Bsdf::Conductor { eta, k, roughness }, ..Material::default() })
+    Ok(Material { albedo, bsdf: Bsdf::Conductor { eta, k, roughness }, ..default_material() })
 }
 
 fn roughness(object: &mut Object) -> Result<Option<f64>> {
@@ -184,7 +165,7 @@ fn dielectric(object: &mut Object) -> Result<Material> {
     let ior = relative_ior(object, "bk7")?;
     let albedo = object.color("specular_reflectance", check_albedo)?.unwrap_or(DVec3::ONE);
     let transmittance = object.color("specular_transmittance", check_albedo)?.unwrap_or(DVec3::ONE);
-    Ok(Material { albedo, bsdf: Bsdf::Dielectric { ior, transmittance }, ..Material::default() })
+    Ok(Material { albedo, bsdf: Bsdf::Dielectric { ior, transmittance }, ..default_material() })
 }
 
 /// `int_ior` over `ext_ior`, numbers or names.

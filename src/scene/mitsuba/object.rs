@@ -132,6 +132,13 @@ impl<'a> Object<'a> {
         Ok(self.scalar(name, &["string"])?.map(|(_, text)| text))
     }
 
+    /// The file that the object cannot be without.
+    pub fn filename(&mut self) -> Result<String> {
+        let element = self.element;
+        let file = self.string("filename")?;
+        file.ok_or_else(|| element.error(format!("{} lacks <string name=\"filename\">", element.words())))
+    }
+
     /// A property that makes no difference here; its value is not looked at.
     pub fn pass_over(&mut self, name: &'static str) {
         self.known.push(name);

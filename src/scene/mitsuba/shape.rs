@@ -1,13 +1,13 @@
 //! Shapes.
 
-use super::material::{Material, Materials};
+use super::material::Materials;
 use super::meshes;
 use super::object::Object;
 use super::xml::Element;
 use crate::Result;
 use crate::scene::camera::without_negative_zeros;
 use crate::scene::validate::{SHEAR_TOLERANCE, check_radiance};
-use crate::scene::{Geometry, Shape, Texture};
+use crate::scene::{Geometry, Material, Shape, Texture};
 use glam::{DMat3, DMat4, DVec3};
 use std::sync::Arc;
 
@@ -43,9 +43,9 @@ pub fn shapes(element: Element, name: String, materials: &Materials) -> Result<V
 
 impl Surface {
     fn shape(self, name: String, material: &Material, radiance: DVec3) -> Shape {
-        let Material { albedo, ref texture, bsdf, two_sided } = *material;
-        let texture = texture.clone().map(self.texture);
-        Shape { name, geometry: self.geometry, albedo, texture, bsdf, two_sided, radiance }
+        let mut material = material.clone();
+        material.texture = material.texture.map(self.texture);
+        material.shape(name, self.geometry, radiance)
     }
 }
 
@@ -166,8 +166,7 @@ fn cube(object: &mut Object) -> Result<Vec<Surface>> {
 /// A mesh from a file, in world space.
 fn mesh(object: &mut Object, emits: bool) -> Result<Surface> {
     let element = object.element;
-    let file = object.string("filename")?;
-    let file = file.ok_or_else(|| element.error(format!("{} lacks <string name=\"filename\">", element.words())))?;
+    let file = object.filename()?;
     let to_world = affine(object)?;
     let flat = object.boolean("face_normals")? == Some(true);
     let flip = object.boolean("flip_normals")? == Some(true);

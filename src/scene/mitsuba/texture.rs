@@ -75,8 +75,7 @@ fn checkerboard(object: &mut Object) -> Result<Option<Textured>> {
 
 fn bitmap(object: &mut Object) -> Result<Option<Textured>> {
     let element = object.element;
-    let file = object.string("filename")?;
-    let file = file.ok_or_else(|| element.error(format!("{} lacks <string name=\"filename\">", element.words())))?;
+    let file = object.filename()?;
     let raw = object.boolean("raw")? == Some(true);
     let to_uv = object.transform("to_uv")?.unwrap_or(DMat4::IDENTITY);
     let filter = choice(object, "filter_type", &[("bilinear", Filter::Bilinear), ("nearest", Filter::Nearest)])?;
