@@ -14,6 +14,7 @@ use limpid::render::{Estimator, Renderer, Sampler, Settings};
 use limpid::scene::family;
 use limpid::train::adam::Adam;
 use limpid::train::kernel::conv2d as conv_grad;
+use limpid::train::loss::Loss;
 use limpid::train::step::Step;
 use std::time::Duration;
 
@@ -101,7 +102,7 @@ fn networks(c: &mut Criterion) {
     // Forward, input gradient and weight gradient cost the same.
     group.throughput(operations(3.0 * seed.macs_per_pixel() * f64::from(BATCH * CROP * CROP)));
     let adam = Adam::default();
-    let mut step = Step::new(&gpu, family, &weights, (BATCH, CROP, CROP), adam).unwrap();
+    let mut step = Step::new(&gpu, family, &weights, (BATCH, CROP, CROP), adam, Loss::Mae).unwrap();
     group.bench_function("training step 2x128x128", |b| {
         b.iter_custom(|n| device_time(n, || step.run(adam.learning_rate).unwrap().1.device_ms));
     });

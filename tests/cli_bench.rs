@@ -167,7 +167,7 @@ fn a_training_step_by_kernel() {
     let report = cli.json(&args);
     let names: Vec<_> = rows(&report).iter().map(|r| r["name"].as_str().unwrap()).collect();
     assert_eq!(names[0], "training step");
-    assert!(["adam", "mae_loss", "pack_weights"].iter().all(|n| names.contains(n)), "{names:?}");
+    assert!(["adam", "l1_loss", "pack_weights"].iter().all(|n| names.contains(n)), "{names:?}");
     let expected = 6.0 * Architecture::seed().macs_per_pixel() * 32.0 * 32.0;
     assert!((number(&rows(&report)[0]["operations"]) / expected - 1.0).abs() < 1e-9);
 }

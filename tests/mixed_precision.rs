@@ -14,6 +14,7 @@ use limpid::train::adam::Adam;
 use limpid::train::checkpoint;
 use limpid::train::data::DataSettings;
 use limpid::train::kernel::conv2d as conv_grad;
+use limpid::train::loss::Loss;
 use limpid::train::loss_scale::{GROWTH_INTERVAL, State};
 use limpid::train::run::{Length, RunState};
 use limpid::train::step::{Moments, Step};
@@ -30,7 +31,7 @@ fn step(gpu: &Gpu, family: Family, factor: f32) -> Step {
     let architecture = tiny();
     let mut weights = weights(&architecture);
     weights.parameters.iter_mut().for_each(|p| *p *= factor);
-    let step = Step::new(gpu, family, &weights, (2, 8, 8), Adam::default()).unwrap();
+    let step = Step::new(gpu, family, &weights, (2, 8, 8), Adam::default(), Loss::Mae).unwrap();
     step.input().upload(gpu, &goldens::drawn([2, 4, 8, 8], "mixed/input").data).unwrap();
     step.target().upload(gpu, &goldens::drawn([2, 3, 8, 8], "mixed/target").data).unwrap();
     step

@@ -12,7 +12,8 @@ use limpid::net::layer::{Case, Kind, Pattern, cases};
 use limpid::net::reference::{backward, forward};
 use limpid::net::tensor::{Tensor, uniform};
 use limpid::train::adam::{Adam, ReferenceState};
-use limpid::train::{loss, reference as training};
+use limpid::train::loss::Loss;
+use limpid::train::reference as training;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Both sides compute in float64 from equal numbers; only the order of their sums differs.
@@ -94,8 +95,8 @@ fn network_matches_pytorch(architecture: &Architecture, [batch, height, width]: 
     let output = values.last().unwrap();
     pytorch(&what("output"), &output.data, golden("output"));
     let target = drawn(output.shape, &what("target"));
-    pytorch(&what("loss"), &[loss::reference(output, &target)], golden("loss"));
-    let gradients = backward(architecture, &parameters, &values, &loss::reference_backward(output, &target));
+    pytorch(&what("loss"), &[Loss::Mae.reference(output, &target)], golden("loss"));
+    let gradients = backward(architecture, &parameters, &values, &Loss::Mae.reference_backward(output, &target));
     let mut parts: Vec<(String, &[f64])> =
         architecture.tensors().into_iter().map(|spec| (spec.name, &gradients.parameters[spec.range])).collect();
     parts.push(("input".into(), &gradients.values[0].data));
@@ -132,7 +133,7 @@ fn three_steps_match_pytorch_adam() {
         let input = drawn([2, 2, 6, 4], &format!("adam/{step}/input"));
         let target = drawn([2, 2, 6, 4], &format!("adam/{step}/target"));
         let before = parameters.clone();
-        let loss = training::step(&architecture, &adam, &mut state, &mut parameters, &input, &target);
+        let loss = training::step((&architecture, Loss::Mae), &adam, &mut state, &mut parameters, &input, &target);
         pytorch("loss", &[loss], &goldens["adam/losses"][step..=step]);
         let expected = &goldens[&format!("adam/{step}/parameters")];
         pytorch("parameters", &parameters, expected);
@@ -216,37 +217,49 @@ fn network_gradients_match_central_differences() {
     let architecture = tiny();
     let parameters = golden_parameters(&architecture);
     let (input, target) = (drawn([2, 2, 6, 4], "differences/input"), drawn([2, 2, 6, 4], "differences/target"));
-    let (_, gradient) = training::gradient(&architecture, &parameters, &input, &target);
-    let loss_at = |parameters: &[f64], input: &Tensor<f64>| {
-        loss::reference(forward(&architecture, parameters, input).last().unwrap(), &target)
-    };
-    assert_eq!(loss_at(&parameters, &input), training::gradient(&architecture, &parameters, &input, &target).0);
-    let differences: Vec<f64> = (0..parameters.len())
-        .map(|i| {
-            let unit: Vec<f64> = (0..parameters.len()).map(|j| f64::from(u8::from(i == j))).collect();
-            slope(|h| loss_at(&moved(&parameters, &unit, h), &input))
-        })
-        .collect();
-    require("parameters", close(&gradient, &differences, 1e-9, 1e-6));
-    let values = forward(&architecture, &parameters, &input);
-    let output_gradient = loss::reference_backward(values.last().unwrap(), &target);
-    let input_gradient = &backward(&architecture, &parameters, &values, &output_gradient).values[0];
-    let differences = (0..input.len())
-        .map(|i| {
-            let unit: Vec<f64> = (0..input.len()).map(|j| f64::from(u8::from(i == j))).collect();
-            slope(|h| loss_at(&parameters, &Tensor::new(input.shape, moved(&input.data, &unit, h))))
-        })
-        .collect();
-    let differences = Tensor::new(input.shape, differences);
-    require("input", tensors_close(input_gradient, &differences, 1e-9, 1e-6));
+    for loss in Loss::ALL {
+        let (_, gradient) = training::gradient((&architecture, loss), &parameters, &input, &target);
+        let loss_at = |parameters: &[f64], input: &Tensor<f64>| {
+            loss.reference(forward(&architecture, parameters, input).last().unwrap(), &target)
+        };
+        assert_eq!(
+            loss_at(&parameters, &input),
+            training::gradient((&architecture, loss), &parameters, &input, &target).0
+        );
+        let differences: Vec<f64> = (0..parameters.len())
+            .map(|i| {
+                let unit: Vec<f64> = (0..parameters.len()).map(|j| f64::from(u8::from(i == j))).collect();
+                slope(|h| loss_at(&moved(&parameters, &unit, h), &input))
+            })
+            .collect();
+        require("parameters", close(&gradient, &differences, 1e-9, 1e-6));
+        let values = forward(&architecture, &parameters, &input);
+        let output_gradient = loss.reference_backward(values.last().unwrap(), &target);
+        let input_gradient = &backward(&architecture, &parameters, &values, &output_gradient).values[0];
+        let differences = (0..input.len())
+            .map(|i| {
+                let unit: Vec<f64> = (0..input.len()).map(|j| f64::from(u8::from(i == j))).collect();
+                slope(|h| loss_at(&parameters, &Tensor::new(input.shape, moved(&input.data, &unit, h))))
+            })
+            .collect();
+        let differences = Tensor::new(input.shape, differences);
+        require("input", tensors_close(input_gradient, &differences, 1e-9, 1e-6));
+    }
 }
 
 #[test]
 fn losses_and_their_gradients_by_hand() {
     let output = Tensor::new([1, 1, 2, 2], vec![1.0, -2.0, 0.5, 0.0]);
     let target = Tensor::new([1, 1, 2, 2], vec![0.0, 0.0, 0.5, 4.0]);
-    assert_eq!(loss::reference(&output, &target), 7.0 / 4.0);
-    assert_eq!(loss::reference_backward(&output, &target).data, [0.25, -0.25, 0.0, -0.25]);
+    assert_eq!(Loss::Mae.reference(&output, &target), 7.0 / 4.0);
+    assert_eq!(Loss::Mae.reference_backward(&output, &target).data, [0.25, -0.25, 0.0, -0.25]);
+    // The four errors, 1, -2, 0 and -4, make -5 at the other four scales.
+    assert_eq!(Loss::Multiscale.reference(&output, &target), (7.0 + 4.0 * 5.0) / 20.0);
+    assert_eq!(Loss::Multiscale.reference_backward(&output, &target).data, [-0.15, -0.25, -0.2, -0.25]);
+    // Squares that the edge cuts: 2 pixels of 1 to the left, 1 of -3 to the right at scale 1.
+    let output = Tensor::new([1, 1, 1, 3], vec![1.0, 1.0, -3.0]);
+    let target = Tensor::new([1, 1, 1, 3], vec![0.0; 3]);
+    assert_eq!(Loss::Multiscale.reference(&output, &target), (5.0 + 5.0 + 3.0 * 1.0) / 15.0);
 }
 
 #[test]

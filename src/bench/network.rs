@@ -13,6 +13,7 @@ use crate::net::plan::{Fusion, Memory, Plan};
 use crate::net::tensor::{Tensor, seed_of};
 use crate::net::weights::Weights;
 use crate::train::adam::Adam;
+use crate::train::preset::Preset;
 use crate::train::step::Step;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -159,7 +160,8 @@ impl Bench<'_> {
     pub fn train(&self, (batch, crop): (u32, u32)) -> Result<(Vec<Row>, WarmUp)> {
         let gpu = self.gpu;
         let architecture = &self.weights.architecture;
-        let mut step = Step::new(gpu, self.family, self.weights, (batch, crop, crop), Adam::default())?;
+        let mut step =
+            Step::new(gpu, self.family, self.weights, (batch, crop, crop), Adam::default(), Preset::Fresh.loss())?;
         let side = crop as usize;
         let random =
             |channels: usize, name: &str| Tensor::uniform([batch as usize, channels, side, side], seed_of(name)).data;

@@ -146,7 +146,12 @@ pub fn windows(info: &DeviceInfo, count: u64) -> impl Iterator<Item = (u64, u64)
 /// Workgroups of 64 for `count` invocations, folded into x and y as `flat_index` in the shaders undoes it.
 #[must_use]
 pub fn groups(count: u64) -> [u32; 3] {
-    let groups = count.div_ceil(64).max(1);
+    folded(count.div_ceil(64).max(1))
+}
+
+/// So many workgroups or a few more, folded into x and y.
+#[must_use]
+pub fn folded(groups: u64) -> [u32; 3] {
     let x = groups.min(32_768);
     [x as u32, groups.div_ceil(x) as u32, 1]
 }

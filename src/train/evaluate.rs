@@ -23,7 +23,7 @@ const FRESH_SCENES: usize = 8;
 /// Figures on chunks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Figures {
-    /// Mean absolute error in the space of the network's output.
+    /// The loss that training minimises.
     pub loss: f64,
     /// Mean absolute difference of linear radiance clamped to [0, 1], exact pixels kept, as inference keeps them.
     pub mae01: f64,
@@ -48,7 +48,6 @@ pub struct Evaluation {
 
 /// The chunks that are looked at, and the way to the device.
 pub struct Yardstick {
-    gpu: Gpu,
     pub(super) frames: Frames,
     pub(super) batch: Batch,
     /// Chunks for training, all or a sample.
@@ -94,13 +93,13 @@ impl Yardstick {
 
     fn new(gpu: &Gpu, frames: Frames, (training, held_out): (Vec<Chunk>, Vec<Chunk>), step: &Step) -> Result<Self> {
         let batch = Batch::new(gpu, frames.preparation(), (step.input(), step.target(), step.plan().output()))?;
-        Ok(Self { gpu: gpu.clone(), frames, batch, training, held_out })
+        Ok(Self { frames, batch, training, held_out })
     }
 
     /// The figures of both sides, training first. Where `go_on` returns false the work stops and there is no result.
     pub fn run(&mut self, step: &mut Step, go_on: &mut dyn FnMut() -> bool) -> Result<Option<[Figures; 2]>> {
-        let Self { gpu, frames, batch, training, held_out } = self;
-        let mut figures = |chunks: &[Chunk]| measure(gpu, (frames, chunks), batch, step, go_on);
+        let Self { frames, batch, training, held_out } = self;
+        let mut figures = |chunks: &[Chunk]| measure((frames, chunks), batch, step, go_on);
         let Some(training) = figures(training)? else { return Ok(None) };
         Ok(figures(held_out)?.map(|held_out| [training, held_out]))
     }
@@ -108,7 +107,6 @@ impl Yardstick {
 
 /// The figures of a network on chunks of pictures; see [`Yardstick::run`].
 fn measure(
-    gpu: &Gpu,
     (frames, chunks): (&Frames, &[Chunk]),
     batch: &mut Batch,
     step: &mut Step,
@@ -123,18 +121,15 @@ fn measure(
         // The last group is filled up; what is filled in does not count.
         let filled: Vec<Chunk> = group.iter().copied().cycle().take(batch.count()).collect();
         batch.load(frames, &filled)?;
-        step.forward()?;
-        let output: Vec<[f32; 4]> = gpu.download(&step.plan().output().slice)?;
-        let target: Vec<[f32; 4]> = gpu.download(&step.target().slice)?;
+        loss += step.forward(group.len() as u32)?.0 * group.len() as f64;
         let count = group.len() * pixels;
-        loss += sum(&output[..count], &target[..count], f64::from);
         let reconstruction = batch.reconstruction()?;
         let reference: Vec<[f32; 4]> =
             batch.targets(frames, group).into_iter().map(|[r, g, b]| [r, g, b, 0.0]).collect();
         mae01 += sum(&reconstruction[..count], &reference, |v| f64::from(v.clamp(0.0, 1.0)));
     }
     let values = (3 * pixels * chunks.len()) as f64;
-    let figures = Figures { loss: loss / values, mae01: mae01 / values };
+    let figures = Figures { loss: loss / chunks.len() as f64, mae01: mae01 / values };
     if !(figures.loss.is_finite() && figures.mae01.is_finite()) {
         return Err(Error::Gpu(format!(
             "the network's output is not finite after {} steps; resume from the last checkpoint with a smaller --learning-rate",

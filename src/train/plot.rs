@@ -42,7 +42,7 @@ fn draw(state: &RunState, text: &mut String) -> Drawn {
     let end = state.step.max(1) as f64 / unit;
     let (upper, lower) = root.split_vertically(SIZE.1 / 2);
     let title = format!("{}, preset {}", state.architecture, state.data.preset());
-    chart(&upper, (&title, axis, "loss: MAE, network's space"), (0.0..end, &short), &loss)?;
+    chart(&upper, (&title, axis, "loss"), (0.0..end, &short), &loss)?;
     chart(&lower, ("", axis, "MAE01: linear radiance"), (0.0..end, &short), &mae01)?;
     root.present()?;
     Ok(())

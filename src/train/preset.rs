@@ -2,6 +2,7 @@
 
 use super::data::DataSettings;
 use super::dataset::{Manifest, NOISY_VERSIONS};
+use super::loss::Loss;
 use super::split::{Sides, Split, chunks};
 use crate::Result;
 use crate::named::named;
@@ -27,6 +28,17 @@ pub const PAPER_EPOCHS: u64 = 20;
 pub const PAPER_CHECKPOINT_EPOCHS: u64 = 20;
 
 named!(Preset, "preset", Fresh = "fresh", Paper = "paper");
+
+impl Preset {
+    /// What it minimises unless another loss is asked for.
+    #[must_use]
+    pub const fn loss(self) -> Loss {
+        match self {
+            Self::Fresh => Loss::Multiscale,
+            Self::Paper => Loss::Mae,
+        }
+    }
+}
 
 /// What a run on a data set sees.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -24,7 +24,7 @@ pub use super::state::{BLOCK, FIRST_LOSSES, Length, RUN, RunState, VERIFIED_STEP
 pub struct StepRecord {
     /// Its number, from 1.
     pub step: u64,
-    /// Mean absolute error of its batch before it, in the space of the network's output.
+    /// Loss of its batch before it.
     pub loss: f64,
     /// Learning rate.
     pub learning_rate: f64,
@@ -205,7 +205,7 @@ fn make_step(
 ) -> Result<Step> {
     let sizes: Vec<_> = state.data.sizes().into_iter().map(|(n, side)| (n, side, side)).collect();
     let adam = Adam { learning_rate: state.learning_rate, ..Adam::default() };
-    let mut step = Step::with_sizes(gpu, family, weights, &sizes, adam)?;
+    let mut step = Step::with_sizes(gpu, family, weights, &sizes, adam, state.loss)?;
     if let Some(moments) = moments {
         step.set_moments(moments)?;
     }

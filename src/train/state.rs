@@ -1,6 +1,7 @@
 //! What a training run is and how far it has come.
 
 use super::evaluate::Evaluation;
+use super::loss::Loss;
 use super::preset::{Preset, Source};
 use super::schedule::rate;
 use serde::{Deserialize, Serialize};
@@ -30,6 +31,9 @@ pub struct RunState {
     pub data: Source,
     /// Largest learning rate.
     pub learning_rate: f64,
+    /// What it minimises.
+    #[serde(default)]
+    pub loss: Loss,
     /// Length.
     pub length: Length,
     /// sha256 of the weights the run began with; none for those of [`crate::net::weights::Weights::initial`].
@@ -74,6 +78,7 @@ impl RunState {
             architecture: architecture.to_owned(),
             data: data.into(),
             learning_rate,
+            loss: Loss::default(),
             length,
             init,
             step: 0,

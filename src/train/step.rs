@@ -2,11 +2,12 @@
 
 use super::adam::Adam;
 use super::backward::Backward;
+use super::loss::Loss;
 use super::loss_scale::{self, LossScale};
 use crate::Result;
 use crate::gpu::{Buffer, Commands, Gpu, Recorder, Timings};
 use crate::net::architecture::Architecture;
-use crate::net::device::{Channels, DeviceTensor, groups};
+use crate::net::device::{Channels, DeviceTensor, Shape, folded, groups};
 use crate::net::kernel::Family;
 use crate::net::parameters::Parameters;
 use crate::net::plan::{Fusion, Memory, Plan};
@@ -14,16 +15,16 @@ use crate::net::weights::Weights;
 use crate::{push_block, shaders};
 
 push_block! {
-    /// Push constants of `mae_loss.comp`.
-    pub struct LossPush for shaders::mae_loss { pixels: u32, invocations: u32, scale: f32 }
+    /// Push constants of `l1_loss.comp`.
+    pub struct LossPush for shaders::l1_loss { batch: u32, height: u32, width: u32, scale: f32 }
 }
 push_block! {
     /// Push constants of `adam.comp`.
     pub struct AdamPush for shaders::adam { count: u32, beta1: f32, beta2: f32, epsilon: f32 }
 }
 
-/// Invocations that share the sum of a loss.
-const LOSS_INVOCATIONS: u32 = 4096;
+/// Side of the square of pixels of a workgroup of `l1_loss.comp`.
+const LOSS_TILE: u32 = 16;
 
 /// What Adam keeps from step to step.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +50,7 @@ struct Pass {
     /// Parts of the loss, as many as this size has.
     loss: Buffer,
     commands: Commands,
-    /// The forward pass alone.
+    /// Forward pass and loss alone.
     forward: Commands,
 }
 
@@ -67,6 +68,7 @@ pub struct Step {
     /// Factors of the learning rate, by parameter.
     scales: Buffer,
     adam: Adam,
+    minimised: Loss,
     /// For kernels with f16.
     loss_scale: Option<LossScale>,
     /// Not 0 where Adam skips the step.
@@ -76,12 +78,19 @@ pub struct Step {
 
 impl Step {
     /// Tensors and commands for batches of one size.
-    pub fn new(gpu: &Gpu, family: Family, weights: &Weights, size: Size, adam: Adam) -> Result<Self> {
-        Self::with_sizes(gpu, family, weights, &[size], adam)
+    pub fn new(gpu: &Gpu, family: Family, weights: &Weights, size: Size, adam: Adam, loss: Loss) -> Result<Self> {
+        Self::with_sizes(gpu, family, weights, &[size], adam, loss)
     }
 
     /// Tensors and commands for batches of several sizes, which train the same parameters.
-    pub fn with_sizes(gpu: &Gpu, family: Family, weights: &Weights, sizes: &[Size], adam: Adam) -> Result<Self> {
+    pub fn with_sizes(
+        gpu: &Gpu,
+        family: Family,
+        weights: &Weights,
+        sizes: &[Size],
+        adam: Adam,
+        loss: Loss,
+    ) -> Result<Self> {
         let parameters = Parameters::new(gpu, family, weights, true)?;
         let like_parameters = |name| gpu.buffer(name, parameters.flat.bytes());
         let (mean, mean_square) = (like_parameters("Adam mean")?, like_parameters("Adam mean square")?);
@@ -107,6 +116,7 @@ impl Step {
             factors,
             scales,
             adam,
+            minimised: loss,
             loss_scale,
             skip,
             steps_done: 0,
@@ -123,10 +133,11 @@ impl Step {
         let plan = Plan::new(gpu, architecture, family, size, Memory::Kept, Fusion::training(family))?;
         let backward = Backward::new(gpu, &self.parameters, &plan)?;
         let target = DeviceTensor::new(gpu, "target", plan.output().shape.with_channels(Channels::new(3)))?;
+        let loss = gpu.buffer("loss", loss_tiles(target.shape) * 4)?;
         let mut rec = gpu.recorder();
         plan.record(&mut rec, &self.parameters)?;
+        record_loss(gpu, &mut rec, self.minimised, [plan.output(), &target, backward.output_gradient()], &loss)?;
         let forward = rec.finish()?;
-        let loss = gpu.buffer("loss", u64::from(LOSS_INVOCATIONS) * 4)?;
         let mut pass = Pass { plan, backward, target, loss, commands: gpu.recorder().finish()?, forward };
         let mut rec = gpu.recorder();
         self.record_pass(&mut rec, &pass)?;
@@ -143,7 +154,7 @@ impl Step {
         let Pass { plan, backward, target, loss, .. } = pass;
         let (gpu, parameters) = (&self.gpu, &self.parameters);
         plan.record(rec, parameters)?;
-        record_loss(gpu, rec, plan.output(), target, backward.output_gradient(), loss)?;
+        record_loss(gpu, rec, self.minimised, [plan.output(), target, backward.output_gradient()], loss)?;
         if let Some(scale) = &self.loss_scale {
             scale.scale(rec, backward.output_gradient())?;
         }
@@ -219,7 +230,7 @@ impl Step {
         self.steps_done
     }
 
-    /// Takes one step at a learning rate with a batch of the first size; gives the loss before it, a mean over all values.
+    /// Takes one step at a learning rate with a batch of the first size; gives the loss before it.
     pub fn run(&mut self, learning_rate: f64) -> Result<(f64, Timings)> {
         self.run_size(0, learning_rate)
     }
@@ -231,15 +242,24 @@ impl Step {
         let timings = self.passes[i].commands.run()?;
         self.last = i;
         self.steps_done += 1;
-        let parts: Vec<f32> = self.gpu.download(&self.passes[i].loss.all())?;
-        let shape = self.passes[i].target.shape;
-        let values = u64::from(shape.n) * u64::from(shape.h) * u64::from(shape.w) * 3;
-        Ok((parts.iter().map(|p| f64::from(*p)).sum::<f64>() / values as f64, timings))
+        let crops = self.passes[i].target.shape.n;
+        Ok((self.loss_of(i, crops)?, timings))
     }
 
-    /// Computes the network's output for a batch of the first size; parameters and moments stay.
-    pub fn forward(&mut self) -> Result<Timings> {
-        self.passes[0].forward.run()
+    /// The loss that the last pass of size `i` left, of its first `crops` crops.
+    fn loss_of(&self, i: usize, crops: u32) -> Result<f64> {
+        let Pass { loss, target, .. } = &self.passes[i];
+        let shape = Shape { n: crops, ..target.shape };
+        let parts: Vec<f32> = self.gpu.download(&loss.slice(0, loss_tiles(shape) * 4))?;
+        let terms = 3.0 * f64::from(self.minimised.scales()) * shape.texels() as f64;
+        Ok(parts.iter().map(|p| f64::from(*p)).sum::<f64>() / terms)
+    }
+
+    /// Computes the network's output for a batch of the first size, and the loss of its first `crops` crops; parameters and
+    /// moments stay.
+    pub fn forward(&mut self, crops: u32) -> Result<(f64, Timings)> {
+        let timings = self.passes[0].forward.run()?;
+        Ok((self.loss_of(0, crops)?, timings))
     }
 
     /// The gradient of the last step, in the order of the flat parameter vector.
@@ -277,26 +297,30 @@ impl Step {
     }
 }
 
-/// Records the mean absolute error of 3 channels, in parts, and its gradient.
+/// Workgroups of `l1_loss.comp`, which compute a part of the loss each.
+fn loss_tiles(shape: Shape) -> u64 {
+    [shape.h.div_ceil(LOSS_TILE), shape.w.div_ceil(LOSS_TILE)].map(u64::from).iter().product::<u64>()
+        * u64::from(shape.n)
+}
+
+/// Records the loss of 3 channels, in parts, and its gradient.
 pub fn record_loss(
     gpu: &Gpu,
     rec: &mut Recorder,
-    output: &DeviceTensor,
-    target: &DeviceTensor,
-    gradient: &DeviceTensor,
+    loss: Loss,
+    [output, target, gradient]: [&DeviceTensor; 3],
     parts: &Buffer,
 ) -> Result<()> {
     assert_eq!((output.shape, output.shape), (target.shape, gradient.shape));
-    let pixels = output.shape.texels() as u32;
-    let kernel = gpu.kernel::<shaders::mae_loss::Shader>(&Default::default())?;
-    let bind = shaders::mae_loss::Bind {
+    let Shape { n: batch, h: height, w: width, .. } = output.shape;
+    let kernel = gpu.kernel::<shaders::l1_loss::Shader>(&shaders::l1_loss::Spec { scales: loss.scales() })?;
+    let bind = shaders::l1_loss::Bind {
         prediction: output.slice.clone(),
         target: target.slice.clone(),
         gradient: gradient.slice.clone(),
         partial: parts.all(),
     };
-    let invocations = LOSS_INVOCATIONS.min(pixels);
-    let push = LossPush { pixels, invocations, scale: 1.0 / (3.0 * pixels as f32) };
-    rec.dispatch(&kernel, &bind, &push, groups(u64::from(invocations)));
+    let scale = 1.0 / (3.0 * loss.scales() as f32 * output.shape.texels() as f32);
+    rec.dispatch(&kernel, &bind, &LossPush { batch, height, width, scale }, folded(loss_tiles(output.shape)));
     Ok(())
 }

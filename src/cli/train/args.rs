@@ -3,6 +3,7 @@
 use crate::cli::dataset::PictureArgs;
 use crate::cli::device::{DeviceArgs, KernelArgs};
 use limpid::train::data::{DataSettings, Scenes};
+use limpid::train::loss::Loss;
 use limpid::train::preset::Preset;
 use limpid::train::run::Length;
 use limpid::train::split::Split;
@@ -46,6 +47,10 @@ pub struct Args {
     /// Largest learning rate. `fresh`: reached after 50 steps, then half a cosine down to a hundredth; `paper`: constant
     #[arg(long, default_value_t = 1e-3)]
     pub learning_rate: f64,
+    /// What to minimise: `mae`, or `multiscale`, the mean of the MAE of the picture and of its reductions by 2, 4, 8 and 16
+    /// [default: multiscale, `paper`: mae]
+    #[arg(long)]
+    pub loss: Option<Loss>,
     /// Crops a step, of the smallest size [default: 8, `paper`: 32]
     #[arg(long)]
     pub batch: Option<u32>,

@@ -105,6 +105,7 @@ fn summary(state: &RunState, gpu: &Gpu, outputs: &Outputs) -> Value {
         "settings": state.data,
         "length": state.length,
         "learning_rate": state.learning_rate,
+        "loss": state.loss,
         "steps": state.step,
         "epochs": state.epochs_done(),
         "chunks": state.crops,

@@ -48,6 +48,7 @@ pub fn begin(args: &Args, gpu: &Gpu, family: Family, output: &Path, stop: &Stop)
         }
     };
     let mut state = RunState::new(&weights.architecture.specification(), source, args.learning_rate, length, init);
+    state.loss = args.loss.unwrap_or(args.preset.loss());
     state.evaluate_every = args.fresh.evaluate_every.unwrap_or(state.evaluate_every);
     Beginning { state, weights, moments: None }.start(gpu, family, &folder, stop)
 }
