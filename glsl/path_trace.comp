@@ -38,6 +38,7 @@ layout(constant_id = 24) const bool BITMAPS = false;       // a surface has a pi
 layout(constant_id = 25) const uint DELTA_COUNT = 0;       // lights that no ray meets, after the rectangles
 layout(constant_id = 27) const uint DELTA_KINDS = 0;       // one bit a kind of them (lib/lights.glsl)
 layout(constant_id = 26) const uint ENVIRONMENT = 0;       // what is around the scene (lib/environment.glsl)
+layout(constant_id = 28) const bool LAST_RAYS = true;      // rays go on after the last reflection's light sample
 
 layout(constant_id = 30) const uint MESH_COUNT = 0;        // meshes share one tree of triangles
 layout(constant_id = 31) const uint MESH_LIGHT_COUNT = 0;  // the first meshes
@@ -89,8 +90,6 @@ const bool MAP_SAMPLED = ENVIRONMENT == 2u;
 // Lights that are sampled: the rest surrounds its receivers and is left to the bounces.
 const uint LIGHT_COUNT = AREA_LIGHT_COUNT + DELTA_COUNT + (MAP_SAMPLED ? 1u : 0u);
 const bool NEE = ESTIMATOR == ESTIMATOR_NEE && LIGHT_COUNT > 0u;
-// Does a ray after the last reflection's light sample still find light?
-const bool LAST_RAY = !NEE || RECT_LIGHT_COUNT > 0u || MESH_LIGHT_COUNT > 0u || INWARD_LIGHT_COUNT > 0u || ENVIRONMENT != 0u || MATERIALS != 0u;
 const bool LIT = AREA_LIGHT_COUNT + INWARD_LIGHT_COUNT > 0u;
 const bool ONE_LIGHT = AREA_LIGHT_COUNT + INWARD_LIGHT_COUNT == 1u && DELTA_COUNT == 0u && !MAP_SAMPLED;
 const uint DELTA_FIRST = SPHERE_COUNT + RECT_COUNT + MESH_COUNT;
@@ -244,7 +243,7 @@ void main() {
             }
             at_vertex = false;
             depth += 1u;
-            has_ray = LAST_RAY || depth < BOUNCES;
+            has_ray = LAST_RAYS || depth < BOUNCES;
             Bounce bounce = sample_bounce(vertex, u.xy);
             d = bounce.d;
             o = bounce.o;
@@ -271,7 +270,7 @@ void main() {
                 if (ENVIRONMENT != ENVIRONMENT_NONE) radiance += throughput * surroundings(d, pdf, chosen);
             } else {
                 vertex = make_vertex(o + t * d, d, id, origin.w);
-                if (!NEE || LAST_RAY || camera) radiance += throughput * emission(vertex, o, d, t, pdf, chosen);
+                if (LAST_RAYS || camera) radiance += throughput * emission(vertex, o, d, t, pdf, chosen);
                 if (!vertex.front) vertex.albedo = vec3(0.0);
                 if (AOVS && camera) {
                     vec3 n = vertex.front ? vertex.n : -vertex.n;

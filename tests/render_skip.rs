@@ -107,6 +107,21 @@ fn materials_are_skipped() {
 }
 
 #[test]
+fn meshes_are_skipped() {
+    check(Skip::Meshes);
+}
+
+#[test]
+fn environments_are_skipped() {
+    check(Skip::Environment);
+}
+
+#[test]
+fn last_rays_are_skipped() {
+    check(Skip::LastRays);
+}
+
+#[test]
 fn aovs_are_skipped() {
     check(Skip::Aovs);
 }

@@ -56,6 +56,8 @@ pub struct Features {
     pub delta_kinds: u32,
     /// What surrounds the scene: 0 nothing, 1 the same radiance from everywhere, 2 a map.
     pub environment: u32,
+    /// A ray after the last reflection finds light that no light sample has.
+    pub last_rays: bool,
     /// Few primitives: all in registers.
     pub preload: bool,
     /// The camera is inside a sphere whose normal points outward.
@@ -94,6 +96,12 @@ pub enum Skip {
     Checkers,
     /// Every material but diffuse ones.
     Materials,
+    /// The tree of triangles; kept, it is an empty one.
+    Meshes,
+    /// The radiance of rays that leave the scene; kept, it is none.
+    Environment,
+    /// Rays after the last reflection's light sample, where they would meet no light that it leaves to them.
+    LastRays,
     /// First-hit values.
     Aovs,
 }
@@ -106,6 +114,9 @@ named!(
     FarSides = "far-sides",
     Checkers = "checkers",
     Materials = "materials",
+    Meshes = "meshes",
+    Environment = "environment",
+    LastRays = "last-rays",
     Aovs = "aovs"
 );
 
@@ -122,6 +133,13 @@ impl Features {
             Skip::Materials => {
                 (self.materials, self.two_sided) = (ALL_MATERIALS, true);
             }
+            // Where nothing follows the primitives in the buffer, it reads as a tree without boxes.
+            Skip::Meshes if self.mesh_count + self.delta_count == 0 && !self.bitmaps && self.environment < 2 => {
+                self.mesh_count = 1;
+            }
+            Skip::Meshes => {}
+            Skip::Environment => self.environment = self.environment.max(1),
+            Skip::LastRays => self.last_rays = true,
             Skip::Aovs => self.aovs = true,
         }
         self
@@ -155,7 +173,7 @@ impl Features {
                 rect_blockers |= u32::from(can_block(rect, scene, 1e-7 * frame.half_extent)) << i;
             }
         }
-        Self {
+        let mut features = Self {
             sphere_count,
             rect_count,
             disk_first: rects.iter().position(|s| is_disk(s)).unwrap_or(0) as u32,
@@ -196,7 +214,16 @@ impl Features {
             aovs: settings.aovs,
             lens: scene.camera.lens.is_some(),
             roulette: settings.roulette_from().unwrap_or(u32::MAX),
-        }
+            last_rays: true,
+        };
+        features.last_rays = features.needs_last_rays();
+        features
+    }
+
+    /// Light samples have all of the light of spheres that diffuse surfaces reflect, and only of that.
+    fn needs_last_rays(&self) -> bool {
+        let others = self.rect_light_count + self.mesh_light_count + self.inward_light_count + self.environment;
+        self.estimator != Estimator::Nee || self.sampled_lights() == 0 || others + self.materials > 0
     }
 
     /// `loops_end`: the device ends a run's loops after some rounds.
@@ -223,6 +250,7 @@ impl Features {
             delta_count: self.delta_count,
             delta_kinds: self.delta_kinds,
             environment: self.environment,
+            last_rays: self.last_rays,
             preload: self.preload,
             camera_inside: self.camera_inside,
             estimator: match self.estimator {

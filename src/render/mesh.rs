@@ -22,7 +22,7 @@ const SLACK: f32 = 4e-6;
 /// Rows of boxes at most, 64 MiB, where they come in eight orders; larger trees have one for all rays.
 const MAX_ORDERED_ROWS: usize = 1 << 22;
 /// Rows before the boxes.
-const HEADER_ROWS: usize = 2;
+pub(super) const HEADER_ROWS: usize = 2;
 
 /// A triangle of one of the meshes.
 #[derive(Clone, Copy)]

@@ -200,6 +200,8 @@ fn pack_meshes(shapes: &[&Shape], frame: &Frame, offset: f64, rows: &mut Vec<[f3
     let first = shapes.iter().position(|s| mesh_of(s).is_some()).unwrap_or(shapes.len());
     let meshes: Vec<&Mesh> = shapes[first..].iter().filter_map(|s| mesh_of(s)).collect();
     if meshes.is_empty() {
+        // A pipeline for meshes finds a tree without boxes here.
+        rows.resize(rows.len() + PRIMITIVE_ROWS + mesh::HEADER_ROWS, [0.0; 4]);
         return;
     }
     let corners = shapes[first..].iter().any(|s| s.texture.is_some()) || meshes.iter().any(|m| !m.normals.is_empty());

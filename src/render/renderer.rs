@@ -133,7 +133,7 @@ impl Renderer {
             max_chunk: (limit / per_path).clamp(1, MAX_CHUNK),
             clear_first: true,
             resolved: false,
-            rate: if gpu.info().is_cpu { 4e6 } else { 1e8 } / if features.mesh_count > 0 { 32.0 } else { 1.0 },
+            rate: if gpu.info().is_cpu { 4e6 } else { 1e8 } / if features.mesh_steps > 0 { 32.0 } else { 1.0 },
             stats: Stats { pipeline_ms, skipped: features.skipped(), ..Stats::default() },
             features,
         })
