@@ -34,6 +34,20 @@ fn a_written_scene_renders_to_the_same_bits() {
 }
 
 #[test]
+fn a_scene_with_meshes_is_written_with_their_files() {
+    let cli = Cli::new();
+    let meshes = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/scenes/meshes.xml");
+    cli.fails(&["scene", meshes], 2, &["meshes.xml", "--output"]);
+    cli.ok(&["scene", meshes, "-o", "s.xml"]);
+    for (scene, name) in [(meshes, "a.exr"), ("s.xml", "b.exr")] {
+        cli.render(&[scene, "-o", name, "--size", "40x24", "--spp", "4"]);
+    }
+    let (a, b) = (cli.image("a.exr"), cli.image("b.exr"));
+    assert_eq!(a.channels, b.channels);
+    assert_eq!(a.attributes["sceneHash"], b.attributes["sceneHash"]);
+}
+
+#[test]
 fn the_file_states_settings_and_flags_override_them() {
     let cli = Cli::new();
     let xml = cli.ok(&["scene", "spheres:2", "--size", "20x10"]);

@@ -198,7 +198,14 @@ fn sky() -> EnvironmentMap {
         let (x, y) = (i % 8, i / 8);
         if (x, y) == (5, 1) { [40.0, 30.0, 20.0] } else { [0.1 * (x + 1) as f32, 0.2 + 0.1 * y as f32, 0.5] }
     };
-    let picture = Picture { path: "sky".into(), raw: false, width: 8, height: 5, texels: (0..40).map(texel).collect() };
+    let picture = Picture {
+        path: "sky".into(),
+        has_file: true,
+        raw: false,
+        width: 8,
+        height: 5,
+        texels: (0..40).map(texel).collect(),
+    };
     let to_world = DMat3::from_rotation_y(0.7) * DMat3::from_rotation_x(-0.4);
     EnvironmentMap { picture: Arc::new(picture), scale: 1.5, to_world }
 }
@@ -442,7 +449,7 @@ fn pictures_lie_where_their_definition_says() {
     let gpu = device();
     let texels: Vec<[f32; 3]> =
         (0..15u32).map(|i| [i as f32 / 15.0, (i * 7 % 15) as f32 / 15.0, (i * 4 % 15) as f32 / 15.0]).collect();
-    let picture = Arc::new(Picture { path: "a".into(), raw: true, width: 5, height: 3, texels });
+    let picture = Arc::new(Picture { path: "a".into(), has_file: true, raw: true, width: 5, height: 3, texels });
     let (center, half_u, half_v) = (DVec3::new(0.1, -0.2, 0.0), DVec3::X, DVec3::Y * 0.8);
     for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
         for filter in [Filter::Bilinear, Filter::Nearest] {

@@ -41,6 +41,7 @@ fn triangles_have_the_materials_of_rectangles() {
     let (eta, k) = (DVec3::new(0.2, 0.9, 1.1), DVec3::new(3.9, 2.4, 2.2));
     let picture = Picture {
         path: "quarters".into(),
+        has_file: true,
         raw: true,
         width: 2,
         height: 2,

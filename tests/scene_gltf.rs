@@ -3,7 +3,7 @@
 mod render_support;
 
 use glam::{DMat4, DVec2, DVec3};
-use limpid::scene::mitsuba::Options;
+use limpid::scene::mitsuba::{self, Options};
 use limpid::scene::{Bsdf, DeltaKind, Environment, Falloff, Geometry, Loaded, Spec, Texture, Wrap};
 use render_support::*;
 use serde_json::{Value, json};
@@ -156,6 +156,34 @@ fn materials() {
     // Codes 255 and 0 are 1 and 0, times the factor.
     assert_eq!(bitmap.picture.texels[0][..2], [0.5, 0.0]);
     assert_eq!(bitmap.picture.texels[1][1], 0.25);
+}
+
+/// Mitsuba 3 XML with a mesh and a picture, which a colour has changed, beside it.
+#[test]
+fn written_as_xml_it_is_the_same_scene() {
+    let mut painted = json!({ "pbrMetallicRoughness": { "baseColorFactor": [0.3, 0.7, 0.2, 1], "metallicFactor": 0 } });
+    painted["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": 0 });
+    let (folder, path) = write(&document(painted, vec![camera_node(), light_node(0), light_node(1)]));
+    let scene = load_with(&path, &Options::default()).expect("a scene").scene;
+    let written = mitsuba::write_files(&scene, "out").expect("a scene");
+    let names: Vec<&str> = written.beside.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, ["out.mesh-0.ply", "out.picture-1.exr"]);
+    for (name, bytes) in &written.beside {
+        std::fs::write(folder.path().join(name), bytes).expect("a file");
+    }
+    let xml = folder.path().join("out.xml");
+    std::fs::write(&xml, &written.xml).expect("a file");
+    let back = mitsuba::load(&xml, &Options::default()).expect("a scene").scene;
+    let Some(Texture::Bitmap(bitmap)) = &back.shapes[0].texture else { panic!("{:?}", back.shapes[0]) };
+    let Some(Texture::Bitmap(of_gltf)) = &scene.shapes[0].texture else { panic!("{:?}", scene.shapes[0]) };
+    assert_eq!(bitmap.picture.texels, of_gltf.picture.texels);
+    assert_eq!((bitmap.matrix, bitmap.offset), (of_gltf.matrix, of_gltf.offset));
+    assert_eq!(back.shapes[0].geometry, scene.shapes[0].geometry);
+    for (a, b) in back.delta_lights.iter().zip(&scene.delta_lights) {
+        assert_eq!((a.kind, a.intensity), (b.kind, b.intensity));
+    }
+    assert_eq!(back.camera, scene.camera);
+    assert_eq!(back.hash(), scene.hash());
 }
 
 /// A file with neither is shown as a whole under an even sky, and says so.

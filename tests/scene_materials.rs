@@ -159,6 +159,7 @@ fn written_scenes_are_read_back() {
         format!(r#"<bsdf type="twosided"><bsdf type="roughconductor">{rough}<float name="alpha" value="0.17"/></bsdf></bsdf>"#),
         format!(r#"<bsdf type="roughconductor">{rough}<float name="alpha" value="0.18"/></bsdf>"#),
         r#"<bsdf type="dielectric"><string name="ext_ior" value="water"/></bsdf>"#.to_owned(),
+        r#"<bsdf type="conductor"><texture type="bitmap" name="specular_reflectance"><string name="filename" value="a.png"/></texture></bsdf>"#.to_owned(),
         r#"<bsdf type="plastic"><rgb name="specular_reflectance" value="0.1,0.2,0.3"/></bsdf>"#.to_owned(),
         r#"<bsdf type="plastic"><texture type="bitmap" name="diffuse_reflectance"><string name="filename" value="a.png"/>
         <string name="wrap_mode" value="clamp"/><transform name="to_uv"><rotate z="1" angle="30"/><scale x="3"/></transform></texture></bsdf>"#.to_owned(),

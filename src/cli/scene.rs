@@ -1,14 +1,15 @@
 //! `limpid scene`: a scene as Mitsuba 3 XML.
 
 use super::report;
-use limpid::Result;
 use limpid::image::file;
 use limpid::scene::mitsuba;
-use std::path::PathBuf;
+use limpid::{Error, Result};
+use std::path::{Path, PathBuf};
 
 /// Write a scene as Mitsuba 3 XML
 ///
-/// `limpid render` reads the file back to the same bits, and Mitsuba 3 renders it as it is.
+/// `limpid render` reads the file back to the same bits, and Mitsuba 3 renders it as it is. Meshes (PLY) and pictures out of glTF
+/// files (EXR) go to files beside it.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// `spheres` (the canonical frame), `spheres:N`, `rooms:N` (scene N of a random family) or a Mitsuba 3 XML or glTF file
@@ -37,12 +38,22 @@ pub fn run(args: &Args) -> Result<u8> {
         None => spec.load(&options)?,
     };
     super::progress::left_out(&loaded.left_out);
-    let xml = mitsuba::write(&loaded.scene)?;
-    match &args.output {
-        Some(path) => file::write_atomically(path, |out| {
-            out.write_all(xml.as_bytes()).map_err(|error| limpid::Error::io(path, error))
-        })?,
-        None => report::print(xml.trim_end())?,
+    let Some(path) = &args.output else {
+        let xml = mitsuba::write(&loaded.scene)
+            .map_err(|error| Error::input(format!("{}: {error}; name an XML file with --output", args.scene)))?;
+        report::print(xml.trim_end())?;
+        return Ok(0);
+    };
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let written = mitsuba::write_files(&loaded.scene, &stem)?;
+    // The scene last: where it is, what it names is too.
+    for (name, bytes) in &written.beside {
+        write(&path.with_file_name(name), bytes)?;
     }
+    write(path, written.xml.as_bytes())?;
     Ok(0)
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    file::write_atomically(path, |out| out.write_all(bytes).map_err(|error| Error::io(path, error)))
 }

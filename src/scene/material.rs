@@ -228,6 +228,8 @@ pub struct Bitmap {
 pub struct Picture {
     /// Where it was read from.
     pub path: PathBuf,
+    /// Whether that is a file that holds it as it is; else it came out of a larger one.
+    pub has_file: bool,
     /// Whether the file's numbers were taken as they are (Mitsuba's `raw`) rather than as sRGB.
     pub raw: bool,
     /// Texels across.

@@ -60,7 +60,7 @@ impl Mesh {
     pub fn transform(&mut self, to_world: DMat4) {
         let normal_matrix = glam::DMat3::from_mat4(to_world).inverse().transpose();
         self.positions.iter_mut().for_each(|p| *p = to_world.transform_point3(*p));
-        self.normals.iter_mut().for_each(|n| *n = (normal_matrix * *n).normalize_or_zero());
+        self.normals.iter_mut().for_each(|n| *n = unit(normal_matrix * *n));
     }
 
     /// Turns every triangle and every normal around.
@@ -139,4 +139,9 @@ impl Mesh {
             some => fail(format!("{some} triangles have no area")),
         }
     }
+}
+
+/// The vector at length 1; one that has it keeps its bits.
+fn unit(v: DVec3) -> DVec3 {
+    if (v.length_squared() - 1.0).abs() <= 4.0 * f64::EPSILON { v } else { v.normalize_or_zero() }
 }

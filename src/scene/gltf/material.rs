@@ -80,6 +80,10 @@ impl<'a> Materials<'a> {
         bsdf.validate().map_err(fail)?;
         let two_sided = material.double_sided() && !bsdf.transmits();
         let texture = if bsdf.transmits() { None } else { texture };
+        if texture.is_some() {
+            // As with Mitsuba's files: the picture has the colour.
+            albedo = DVec3::ONE;
+        }
         Ok(Surface { material: Material { albedo, texture, bsdf, two_sided }, radiance, uv_set })
     }
 
@@ -138,7 +142,8 @@ impl<'a> Materials<'a> {
                 .error(format!("image {index}: {:?} is not supported, only integers of 8 or 16 bits", data.format))
         })?;
         let path = PathBuf::from(format!("{}#image-{index}", self.notes.file.display()));
-        let picture = Arc::new(Picture { path, raw: false, width: data.width, height: data.height, texels });
+        let picture =
+            Arc::new(Picture { path, has_file: false, raw: false, width: data.width, height: data.height, texels });
         self.pictures.borrow_mut().insert(key, picture.clone());
         Ok(picture)
     }

@@ -70,8 +70,8 @@ impl Materials {
     fn bsdf(&self, element: Element) -> Result<Material> {
         let Some(mut object) = Object::new(element, &KINDS)? else { return self.inner(element) };
         let material = match object.kind() {
-            "diffuse" => self.textured(&mut object, "reflectance", Bsdf::Diffuse)?,
-            "conductor" | "roughconductor" => conductor(&mut object)?,
+            "diffuse" => self.textured(&mut object, "reflectance", default_material())?,
+            "conductor" | "roughconductor" => self.conductor(&mut object)?,
             "dielectric" => dielectric(&mut object)?,
             "plastic" => self.plastic(&mut object)?,
             _ => self.two_sided(&mut object)?,
@@ -89,15 +89,14 @@ impl Materials {
         }
     }
 
-    /// The colour or texture of this name, which is the material's albedo.
-    fn textured(&self, object: &mut Object, name: &'static str, bsdf: Bsdf) -> Result<Material> {
+    /// A material whose albedo is the colour or texture of this name, if there is one.
+    fn textured(&self, object: &mut Object, name: &'static str, plain: Material) -> Result<Material> {
         let element = object.element;
         let color = object.color(name, check_albedo)?;
         let texture = self.textures.take(object, name)?;
         if let (Some(texture), true) = (texture.as_ref(), color.is_some()) {
             return Err(texture.element.error(format!("{} has a {name} beside its texture", element.words())));
         }
-        let plain = Material { bsdf, ..default_material() };
         Ok(match texture.and_then(|texture| texture.value) {
             Some((albedo, texture)) => Material { albedo, texture: Some(texture), ..plain },
             None => Material { albedo: color.unwrap_or(plain.albedo), ..plain },
@@ -108,7 +107,15 @@ impl Materials {
         let ior = relative_ior(object, "polypropylene")?;
         let specular = object.color("specular_reflectance", check_albedo)?.unwrap_or(DVec3::ONE);
         let nonlinear = object.boolean("nonlinear")? == Some(true);
-        self.textured(object, "diffuse_reflectance", Bsdf::Plastic { ior, specular, nonlinear })
+        let bsdf = Bsdf::Plastic { ior, specular, nonlinear };
+        self.textured(object, "diffuse_reflectance", Material { bsdf, ..default_material() })
+    }
+
+    fn conductor(&self, object: &mut Object) -> Result<Material> {
+        let (eta, k) = optical_constants(object)?;
+        let roughness = if object.kind() == "roughconductor" { roughness(object)? } else { None };
+        let bsdf = Bsdf::Conductor { eta, k, roughness };
+        self.textured(object, "specular_reflectance", Material { bsdf, ..Material::diffuse(DVec3::ONE) })
     }
 
     fn two_sided(&self, object: &mut Object) -> Result<Material> {
@@ -127,25 +134,22 @@ impl Materials {
     }
 }
 
-fn conductor(object: &mut Object) -> Result<Material> {
+/// Real and imaginary part of a metal's index of refraction.
+fn optical_constants(object: &mut Object) -> Result<(DVec3, DVec3)> {
     let element = object.element;
-    let rough = object.kind() == "roughconductor";
     let name = object.string("material")?;
     let number = |v: DVec3| if v.is_finite() { Ok(()) } else { Err(crate::Error::input("not finite")) };
     let (eta, k) = (object.color("eta", number)?, object.color("k", number)?);
-    let (eta, k) = match name.as_deref() {
-        None | Some("none") => (eta.unwrap_or(DVec3::ZERO), k.unwrap_or(DVec3::ONE)),
+    match name.as_deref() {
+        None | Some("none") => Ok((eta.unwrap_or(DVec3::ZERO), k.unwrap_or(DVec3::ONE))),
         Some(_) if eta.is_some() || k.is_some() => {
-            return Err(element.error(format!("{} has a material beside eta or k", element.words())));
+            Err(element.error(format!("{} has a material beside eta or k", element.words())))
         }
         Some(name) => metal(name).ok_or_else(|| {
             element
                 .error(format!("material \"{name}\" is not known; known: none, {}; or give eta and k", metal_names()))
-        })?,
-    };
-    let albedo = object.color("specular_reflectance", check_albedo)?.unwrap_or(DVec3::ONE);
-    let roughness = if rough { roughness(object)? } else { None };
-    Ok(Material { albedo, bsdf: Bsdf::Conductor { eta, k, roughness }, ..default_material() })
+        }),
+    }
 }
 
 fn roughness(object: &mut Object) -> Result<Option<f64>> {

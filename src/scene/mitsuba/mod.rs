@@ -11,6 +11,7 @@
 //! Anything else is an error that names file, line and element or, with [`Options::lenient`], left out and named in
 //! [`Loaded::left_out`]. Files that a scene names are looked for in the folder of the scene's main file.
 
+mod beside;
 mod emitter;
 mod files;
 mod load;
@@ -26,7 +27,7 @@ mod transform;
 mod write;
 mod xml;
 
-pub use write::write;
+pub use write::{Written, write, write_files};
 
 use super::Loaded;
 use crate::{Error, Result};

@@ -27,7 +27,7 @@ fn read_exr(path: &Path, raw: bool) -> Result<Picture> {
         }
     };
     let texels = (0..image.pixel_count()).map(|i| planes.map(|plane| plane[i])).collect();
-    Ok(Picture { path: path.to_owned(), raw, width: image.width, height: image.height, texels })
+    Ok(Picture { path: path.to_owned(), has_file: true, raw, width: image.width, height: image.height, texels })
 }
 
 fn read_integers(path: &Path, raw: bool) -> Result<Picture> {
@@ -46,5 +46,5 @@ fn read_integers(path: &Path, raw: bool) -> Result<Picture> {
         .map_err(|error| fail(format!("truncated or damaged: {error}")))?;
     let linear = |v: f32| if raw { v } else { srgb_decode(v) };
     let texels = decoded.to_rgb32f().pixels().map(|pixel| pixel.0.map(linear)).collect();
-    Ok(Picture { path: path.to_owned(), raw, width, height, texels })
+    Ok(Picture { path: path.to_owned(), has_file: true, raw, width, height, texels })
 }

@@ -1,5 +1,6 @@
 //! A [`Scene`] as Mitsuba 3 XML.
 
+use super::beside::Beside;
 use super::transform::swap_camera_convention;
 use crate::scene::{
     Bitmap, Bsdf, Checker, DeltaKind, DeltaLight, Environment, Filter, Geometry, Picture, Scene, Shape, Texture, Wrap,
@@ -17,12 +18,31 @@ const INTEGRATOR: &str = r#"  <integrator type="path">
 
 /// The scene as XML that Mitsuba 3 renders to the same picture and that [`super::load_str`] reads back bit for bit
 /// (numbers have the shortest digits that identify them). It states 8 bounces and, as the parameters `spp`, `width` and
-/// `height`, 16 samples per pixel and the image size. Shape names become unique ids of letters, digits, `_` and `-`. Meshes
-/// live in files of their own and are refused.
+/// `height`, 16 samples per pixel and the image size. Shape names become unique ids of letters, digits, `_` and `-`. Scenes with
+/// meshes or with pictures out of glTF files are refused: see [`write_files`].
 pub fn write(scene: &Scene) -> Result<String> {
-    if let Some(shape) = scene.shapes.iter().find(|shape| matches!(shape.geometry, Geometry::Mesh(_))) {
-        return Err(Error::input(format!("'{}' is a mesh: scenes with meshes cannot be written as XML", shape.name)));
+    let written = write_files(scene, "scene")?;
+    match written.beside.first() {
+        None => Ok(written.xml),
+        Some((name, _)) => {
+            Err(Error::input(format!("the scene has meshes or pictures for files of their own ({name})")))
+        }
     }
+}
+
+/// A scene as XML and what it names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Written {
+    /// The scene.
+    pub xml: String,
+    /// Names and bytes of files in the same folder.
+    pub beside: Vec<(String, Vec<u8>)>,
+}
+
+/// The same with a file for each mesh, as binary PLY, and for each picture that was not read from one of its own, as EXR; their
+/// names begin with `stem`.
+pub fn write_files(scene: &Scene, stem: &str) -> Result<Written> {
+    let mut beside = Beside::new(stem);
     let camera = &scene.camera;
     let mut xml = String::from("<scene version=\"3.0.0\">\n");
     for (name, value) in [("spp", 16), ("width", camera.width), ("height", camera.height)] {
@@ -47,38 +67,44 @@ pub fn write(scene: &Scene) -> Result<String> {
     line(&mut xml, "    <sampler type=\"independent\"><integer name=\"sample_count\" value=\"$spp\"/></sampler>");
     line(&mut xml, "  </sensor>");
     let mut ids = BTreeSet::new();
-    scene.shapes.iter().for_each(|shape| write_shape(&mut xml, shape, &mut ids));
+    for shape in &scene.shapes {
+        write_shape(&mut xml, shape, &mut ids, &mut beside)?;
+    }
     scene.delta_lights.iter().for_each(|light| write_delta(&mut xml, light, &mut ids));
     scene.environment.iter().for_each(|environment| write_environment(&mut xml, environment));
-    Ok(xml + "</scene>\n")
+    Ok(Written { xml: xml + "</scene>\n", beside: beside.finish() })
 }
 
-fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
-    let kind = match shape.geometry {
+fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>, beside: &mut Beside) -> Result<()> {
+    let kind = match &shape.geometry {
         Geometry::Sphere { .. } => "sphere",
         Geometry::Rectangle { .. } => "rectangle",
         Geometry::Disk { .. } => "disk",
         Geometry::Mesh(_) => "ply",
     };
     line(xml, &format!("  <shape type=\"{kind}\" id=\"{}\">", unique_id(&shape.name, kind, ids)));
-    match shape.geometry {
-        Geometry::Sphere { center, radius, inward } => {
+    match &shape.geometry {
+        &Geometry::Sphere { center, radius, inward } => {
             line(xml, &format!("    {}", triple("point", "center", center)));
             line(xml, &format!("    {}", float("radius", radius)));
             if inward {
                 line(xml, "    <boolean name=\"flip_normals\" value=\"true\"/>");
             }
         }
-        Geometry::Rectangle { center, half_u, half_v } | Geometry::Disk { center, half_u, half_v } => {
+        &Geometry::Rectangle { center, half_u, half_v } | &Geometry::Disk { center, half_u, half_v } => {
             let normal = half_u.cross(half_v).normalize_or_zero();
             let columns = [half_u, half_v, normal].map(|v| v.extend(0.0));
             let matrix = DMat4::from_cols(columns[0], columns[1], columns[2], center.extend(1.0));
             line(xml, &format!("    {}", to_world(matrix)));
         }
-        // Refused before.
-        Geometry::Mesh(_) => {}
+        Geometry::Mesh(mesh) => {
+            line(xml, &format!("    {}", file_beside(&beside.mesh(mesh))));
+            if mesh.normals.is_empty() {
+                line(xml, "    <boolean name=\"face_normals\" value=\"true\"/>");
+            }
+        }
     }
-    let bsdf = bsdf(shape);
+    let bsdf = bsdf(shape, beside)?;
     line(
         xml,
         &if shape.two_sided { format!("    <bsdf type=\"twosided\">{bsdf}</bsdf>") } else { format!("    {bsdf}") },
@@ -87,14 +113,15 @@ fn write_shape(xml: &mut String, shape: &Shape, ids: &mut BTreeSet<String>) {
         line(xml, &format!("    <emitter type=\"area\">{}</emitter>", rgb("radiance", shape.radiance)));
     }
     line(xml, "  </shape>");
+    Ok(())
 }
 
-fn bsdf(shape: &Shape) -> String {
+fn bsdf(shape: &Shape, beside: &mut Beside) -> Result<String> {
     let albedo = shape.albedo;
-    match shape.bsdf {
-        Bsdf::Diffuse => format!("<bsdf type=\"diffuse\">{}</bsdf>", reflectance("reflectance", shape)),
+    Ok(match shape.bsdf {
+        Bsdf::Diffuse => format!("<bsdf type=\"diffuse\">{}</bsdf>", reflectance("reflectance", shape, beside)?),
         Bsdf::Conductor { eta, k, roughness } => {
-            let colors = rgb("eta", eta) + &rgb("k", k) + &rgb("specular_reflectance", albedo);
+            let colors = rgb("eta", eta) + &rgb("k", k) + &reflectance("specular_reflectance", shape, beside)?;
             let (kind, rough) = match roughness {
                 None => ("conductor", String::new()),
                 Some(alpha) => (
@@ -112,9 +139,9 @@ fn bsdf(shape: &Shape) -> String {
             "<bsdf type=\"plastic\">{}<boolean name=\"nonlinear\" value=\"{nonlinear}\"/>{}{}</bsdf>",
             relative_ior(ior),
             rgb("specular_reflectance", specular),
-            reflectance("diffuse_reflectance", shape)
+            reflectance("diffuse_reflectance", shape, beside)?
         ),
-    }
+    })
 }
 
 /// Over 1, so that the quotient is read back to the last bit.
@@ -122,12 +149,12 @@ fn relative_ior(ior: f64) -> String {
     float("int_ior", ior) + &float("ext_ior", 1.0)
 }
 
-fn reflectance(name: &str, shape: &Shape) -> String {
-    match &shape.texture {
+fn reflectance(name: &str, shape: &Shape, beside: &mut Beside) -> Result<String> {
+    Ok(match &shape.texture {
         None => rgb(name, shape.albedo),
         Some(Texture::Checker(checker)) => checkerboard(name, shape.albedo, *checker),
-        Some(Texture::Bitmap(map)) => bitmap(name, map),
-    }
+        Some(Texture::Bitmap(map)) => bitmap(name, map, beside)?,
+    })
 }
 
 fn checkerboard(name: &str, albedo: DVec3, checker: Checker) -> String {
@@ -143,7 +170,7 @@ fn checkerboard(name: &str, albedo: DVec3, checker: Checker) -> String {
     )
 }
 
-fn bitmap(name: &str, map: &Bitmap) -> String {
+fn bitmap(name: &str, map: &Bitmap, beside: &mut Beside) -> Result<String> {
     let (x, y) = (map.matrix.x_axis, map.matrix.y_axis);
     let to_uv = DMat4::from_cols(
         DVec4::new(x.x, x.y, 0.0, 0.0),
@@ -160,12 +187,19 @@ fn bitmap(name: &str, map: &Bitmap) -> String {
         Wrap::Mirror => "mirror",
         Wrap::Clamp => "clamp",
     };
-    format!(
+    let picture = &map.picture;
+    // Those of glTF files have been multiplied by a colour.
+    let (file, raw) = if picture.has_file {
+        (filename(picture), picture.raw)
+    } else {
+        (file_beside(&beside.picture(picture)?), true)
+    };
+    Ok(format!(
         "<texture type=\"bitmap\" name=\"{name}\">\n      {}<boolean name=\"raw\" value=\"{}\"/><string name=\"filter_type\" value=\"{filter}\"/><string name=\"wrap_mode\" value=\"{wrap}\"/>\n      {}\n    </texture>",
-        filename(&map.picture),
-        map.picture.raw,
+        file,
+        raw,
         transform("to_uv", to_uv)
-    )
+    ))
 }
 
 /// The fading of glTF's spot lights, which Mitsuba does not have, becomes Mitsuba's.
@@ -207,7 +241,11 @@ fn write_environment(xml: &mut String, environment: &Environment) {
 /// The file that a picture came from, as a full path: the scene may be written elsewhere.
 fn filename(picture: &Picture) -> String {
     let path = std::fs::canonicalize(&picture.path).unwrap_or_else(|_| picture.path.clone());
-    let path = path.display().to_string().replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
+    file_beside(&path.display().to_string())
+}
+
+fn file_beside(path: &str) -> String {
+    let path = path.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
     format!("<string name=\"filename\" value=\"{path}\"/>")
 }
 
