@@ -121,6 +121,7 @@ fn the_paper_s_preset_leaves_weights_log_and_plot() {
         assert_eq!(metadata[key], format!("{value:.6}"));
     }
     assert_eq!((metadata["preset"].as_str(), metadata["split"].as_str()), ("paper", "scene"));
+    assert!(metadata["run"].contains(r#""loss":"mae""#), "{}", metadata["run"]);
     let plot = String::from_utf8(cli.bytes("w.svg")).expect("UTF-8");
     let document = roxmltree::Document::parse(&plot).expect("SVG");
     let words: Vec<&str> = document.descendants().filter_map(|n| n.text()).map(str::trim).collect();
@@ -155,6 +156,7 @@ fn what_does_not_fit_is_refused() {
         cli.fails(&train(&flag), 2, &[flag[0], "goes with --preset paper"]);
     }
     cli.fails(&train(&["--preset", "tape"]), 2, &["one of fresh, paper"]);
+    cli.fails(&train(&["--loss", "ssim"]), 2, &["one of mae, multiscale"]);
     cli.fails(&train(&[]), 2, &["--steps N or --minutes M"]);
     cli.fails(&train(&["--steps", "1", "--learning-rate", "nan"]), 2, &["--learning-rate NaN"]);
     // Beyond the first line, which says what is read.
@@ -288,5 +290,6 @@ fn evaluations_of_fresh_runs_change_no_bit() {
     assert!(!weights(&cli, "a.safetensors").metadata.contains_key("held_out_loss"));
     let metadata = weights(&cli, "b.safetensors").metadata;
     assert_eq!((metadata["preset"].as_str(), metadata["evaluated_at_step"].as_str()), ("fresh", "4"));
+    assert!(metadata["run"].contains(r#""loss":"multiscale""#), "{}", metadata["run"]);
     cli.ok(&["train", "--verify", "b.safetensors"]);
 }
