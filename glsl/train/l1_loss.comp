@@ -2,6 +2,7 @@
 // The mean absolute error over 3 channels at one scale or more, and its gradient. One workgroup takes 16x16 pixels, one
 // invocation 2x2 of them. Scale s has the errors' sums over squares of 2^s pixels: e at scale 0, and so on up to 4.
 #extension GL_GOOGLE_include_directive : require
+#include "lib/index.glsl"
 
 layout(local_size_x = 64) in;
 
@@ -25,7 +26,7 @@ float norm1(vec3 v) { return abs(v.x) + abs(v.y) + abs(v.z); }
 
 void main() {
     const uvec2 tiles = (uvec2(width, height) + 15) / 16;
-    const uint group = gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x;
+    const uint group = flat_index() / 64;
     if (group >= batch * tiles.x * tiles.y) return;  // the whole workgroup
     const uint n = group / (tiles.x * tiles.y);
     const uint tile = group % (tiles.x * tiles.y);

@@ -4,7 +4,7 @@ use super::report;
 use limpid::image::file;
 use limpid::scene::mitsuba;
 use limpid::{Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Write a scene as Mitsuba 3 XML
 ///
@@ -48,12 +48,8 @@ pub fn run(args: &Args) -> Result<u8> {
     let written = mitsuba::write_files(&loaded.scene, &stem)?;
     // The scene last: where it is, what it names is too.
     for (name, bytes) in &written.beside {
-        write(&path.with_file_name(name), bytes)?;
+        file::write_bytes(path.with_file_name(name), bytes)?;
     }
-    write(path, written.xml.as_bytes())?;
+    file::write_bytes(path, written.xml.as_bytes())?;
     Ok(0)
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    file::write_atomically(path, |out| out.write_all(bytes).map_err(|error| Error::io(path, error)))
 }

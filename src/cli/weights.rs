@@ -3,7 +3,7 @@
 use super::report;
 use clap::{Subcommand, ValueEnum};
 use limpid::denoise::{Preparation, embedded_names, embedded_weights, weights_of};
-use limpid::image::file::{writable, write_atomically};
+use limpid::image::file::{writable, write_bytes};
 use limpid::net::tza::{self, Precision};
 use limpid::net::weights::{self, Weights};
 use limpid::{Error, Result};
@@ -106,7 +106,7 @@ fn convert(input: &Path, output: &Path, precision: PrecisionName) -> Result<()> 
         PrecisionName::Fp32 => Precision::Single,
     };
     let bytes = tza::to_bytes(&weights, precision).map_err(|e| Error::input(format!("{name}: {e}")))?;
-    write_atomically(output, |out| out.write_all(&bytes).map_err(|e| Error::io(output, e)))
+    write_bytes(output, &bytes)
 }
 
 /// Weights of either format, or those shipped with limpid.

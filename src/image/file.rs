@@ -31,6 +31,12 @@ pub fn write_atomically(path: impl AsRef<Path>, fill: impl FnOnce(&mut dyn Write
     Ok(())
 }
 
+/// [`write_atomically`] with all bytes at hand.
+pub fn write_bytes(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
+    let path = path.as_ref();
+    write_atomically(path, |out| out.write_all(bytes).map_err(|error| Error::io(path, error)))
+}
+
 /// Checks that [`write_atomically`] could make `path`, before hours of work go into what it shall hold. Leaves nothing.
 pub fn writable(path: impl AsRef<Path>) -> Result<()> {
     let path = &target(path.as_ref())?;

@@ -1,7 +1,7 @@
 //! The verdict of a self-check on disk. A file that is missing or damaged counts as none; one that cannot be written is left
 //! out.
 
-use crate::image::file::write_atomically;
+use crate::image::file::write_bytes;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -39,7 +39,7 @@ impl Verdict {
         let folder = file.parent().unwrap_or(file);
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
         let text = serde_json::to_vec(self).map_err(|e| Error::input(e.to_string()))?;
-        write_atomically(file, |out| out.write_all(&text).map_err(|e| Error::io(file, e)))
+        write_bytes(file, &text)
     }
 }
 

@@ -3,7 +3,7 @@
 use super::architecture::{Architecture, NAMES, Op, TensorSpec};
 use super::base::Widths;
 use super::tensor::{hash, seed_of, uniform};
-use crate::image::file::write_atomically;
+use crate::image::file::write_bytes;
 use crate::{Error, Result};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use sha2::{Digest, Sha256};
@@ -133,7 +133,7 @@ impl Weights {
 
     /// Writes a safetensors file, whole or not at all.
     pub fn save(&self, path: &Path) -> Result<()> {
-        write_atomically(path, |out| out.write_all(&self.to_bytes()).map_err(|e| Error::io(path, e)))
+        write_bytes(path, &self.to_bytes())
     }
 
     /// One tensor's values, by its key.

@@ -3,7 +3,7 @@
 use super::loss_scale::State;
 use super::run::RunState;
 use super::step::Moments;
-use crate::image::file::write_atomically;
+use crate::image::file::write_bytes;
 use crate::net::weights::Weights;
 use crate::{Error, Result};
 use safetensors::tensor::TensorView;
@@ -31,7 +31,7 @@ pub fn save(path: &Path, state: &RunState, weights: &Weights, moments: &Moments)
     }
     let bytes =
         safetensors::serialize(views, Some(metadata)).map_err(|e| Error::input(format!("{}: {e}", path.display())))?;
-    write_atomically(path, |out| out.write_all(&bytes).map_err(|e| Error::io(path, e)))
+    write_bytes(path, &bytes)
 }
 
 /// Reads a checkpoint: the run's state, the parameters, the moments.

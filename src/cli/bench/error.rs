@@ -11,7 +11,7 @@ use limpid::bench::error::{
 };
 use limpid::denoise::{Preparation, embedded_weights, weights_of};
 use limpid::gpu::Gpu;
-use limpid::image::file::write_atomically;
+use limpid::image::file::write_bytes;
 use limpid::image::{Image, exr};
 use limpid::metrics::reference_noise;
 use limpid::net::weights::Weights;
@@ -90,7 +90,7 @@ impl Folder<'_> {
         let path = self.file("settings.json");
         let Ok(text) = std::fs::read_to_string(&path) else {
             let text = format!("{:#}\n", Value::Object(settings.clone()));
-            return write(&path, &text);
+            return write_bytes(&path, text.as_bytes());
         };
         let found: Value = serde_json::from_str(&text)
             .map_err(|e| Error::input(format!("{}: not JSON ({e}): choose another folder", path.display())))?;
@@ -114,7 +114,7 @@ impl Folder<'_> {
         };
         let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
         if whole.len() < text.len() {
-            write(&path, whole)?;
+            write_bytes(&path, whole.as_bytes())?;
         }
         let parse = |(i, line): (usize, &str)| {
             serde_json::from_str(line).map_err(|e| {
@@ -156,10 +156,6 @@ impl Folder<'_> {
     }
 }
 
-fn write(path: &Path, text: &str) -> Result<()> {
-    write_atomically(path, |out| out.write_all(text.as_bytes()).map_err(|e| Error::io(path, e)))
-}
-
 /// Runs the command.
 pub fn run(args: &Args) -> Result<u8> {
     let spec: Spec = args.scene.parse()?;
@@ -193,13 +189,13 @@ pub fn run(args: &Args) -> Result<u8> {
     args.device.check(&gpu)?;
     let summary = summarize(&runs, noise);
     let title = format!("{}, {}x{}, {}", args.scene, args.size.0, args.size.1, gpu.info().name);
-    write(&folder.file("error.svg"), &svg(&summary, &title)?)?;
+    write_bytes(folder.file("error.svg"), svg(&summary, &title)?.as_bytes())?;
     let mut map = report::header("bench error", &gpu);
     map.insert("settings".into(), settings.into());
     map.insert("equal_time_seconds".into(), json!(EQUAL_TIMES));
     map.insert("summary".into(), json!(summary));
     let map = Value::from(map);
-    write(&folder.file("summary.json"), &format!("{map:#}\n"))?;
+    write_bytes(folder.file("summary.json"), format!("{map:#}\n").as_bytes())?;
     if args.json {
         report::print_json(&map)?
     } else {

@@ -1,7 +1,7 @@
 //! What a training run leaves beside its weights: log, plot, checkpoint.
 
 use limpid::gpu::Gpu;
-use limpid::image::file::{writable, write_atomically};
+use limpid::image::file::{writable, write_bytes};
 use limpid::train::checkpoint;
 use limpid::train::plot;
 use limpid::train::run::{Run, RunState};
@@ -38,7 +38,7 @@ impl Outputs {
         checkpoint::save(&self.checkpoint, &run.state, &weights, &run.moments()?)?;
         weights.save(&self.weights)?;
         let picture = plot::svg(&run.state)?;
-        write_atomically(&self.plot, |out| out.write_all(picture.as_bytes()).map_err(|e| Error::io(&self.plot, e)))
+        write_bytes(&self.plot, picture.as_bytes())
     }
 
     /// A fresh log, or the one of a resumed run cut back to what its state has.

@@ -11,7 +11,7 @@ pub use frames::{Frames, Picture};
 pub use write::{Writer, Written};
 
 use crate::image::check_size;
-use crate::image::file::write_atomically;
+use crate::image::file::write_bytes;
 use crate::net::tensor::{hash, seed_of};
 use crate::render::{Estimator, Sampler, Settings};
 use crate::scene::Scene;
@@ -212,8 +212,7 @@ impl Manifest {
     }
 
     fn write(&self, dir: &Path) -> Result<()> {
-        let path = dir.join(MANIFEST);
-        write_atomically(&path, |out| out.write_all(self.text().as_bytes()).map_err(|e| Error::io(&path, e)))
+        write_bytes(dir.join(MANIFEST), self.text().as_bytes())
     }
 
     /// The files of scene `n`, each compared with its sha256.
