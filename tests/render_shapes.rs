@@ -1,4 +1,4 @@
-//! Disks: their light by closed form, their outline, and beside other shapes.
+//! Disks: their light by closed form, their outline, and beside other shapes. Rectangles: their outline.
 
 mod render_support;
 
@@ -63,6 +63,25 @@ fn disks_are_round() {
     // Of the outlines, 1000 pixels long, each pixel's place is random: a standard deviation of about sqrt(1000 / 12) pixels.
     let pixels = 4.0 * 1.25 * 0.8 / (50.0 * 4f64.to_radians()).powi(2) * 512.0 * 512.0;
     assert!((ratio - std::f64::consts::FRAC_PI_4).abs() < 6.0 * (1000f64 / 12.0).sqrt() / pixels, "{ratio}");
+}
+
+/// Free rectangles are hit where they are, whatever the size of the scene; those that touch are 2e-6 of it wider, here 3.2 pixels.
+#[test]
+fn free_rectangles_are_no_wider_than_they_are() {
+    let gpu = device();
+    let far = sphere([0.0, 0.0, -1999.0], 1.0, 0.0, 0.0);
+    let square = |x| rectangle(DVec3::new(x, 0.0, 0.0), DVec3::X * 0.02, DVec3::Y * 0.02, 0.0, 1.0);
+    let field = 2.0 * 0.08f64.atan().to_degrees();
+    let lit = |squares: &[Shape]| {
+        let camera = look(DVec3::new(0.0, 0.0, 1.0), DVec3::ZERO, field, 256, 256);
+        let scene = Scene::new(camera, [&[far.clone()], squares].concat());
+        let image = render(&gpu, &scene, &Settings { spp: 1, ..Settings::default() });
+        image.channels["R"].iter().filter(|&&v| v == 1.0).count()
+    };
+    assert_eq!(lit(&[square(0.0)]), 64 * 64);
+    assert_eq!(lit(&[square(-0.05), square(0.05)]), 2 * 64 * 64, "apart");
+    let touching = lit(&[square(-0.02), square(0.02)]);
+    assert!(((128 + 5) * (64 + 5)..=(128 + 7) * (64 + 7)).contains(&touching), "{touching} pixels");
 }
 
 /// Disks and rectangles, lights among both, in any order: the order of the buffers, not of the scene, decides every bit.

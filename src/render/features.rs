@@ -359,7 +359,7 @@ pub(super) fn is_flat(shape: &Shape) -> bool {
     matches!(shape.geometry, Geometry::Rectangle { .. } | Geometry::Disk { .. })
 }
 
-fn is_sphere(shape: &Shape) -> bool {
+pub(super) fn is_sphere(shape: &Shape) -> bool {
     matches!(shape.geometry, Geometry::Sphere { .. })
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::environment;
-use super::features::{axis_of, delta_kind, emits, is_disk, is_flat, is_inward, material_kind, mesh_of};
+use super::features::{axis_of, delta_kind, emits, is_disk, is_flat, is_inward, is_sphere, material_kind, mesh_of};
 use super::mesh;
 use crate::scene::{
     Bitmap, Bsdf, Checker, DeltaKind, DeltaLight, Environment, Falloff, Geometry, Mesh, Picture, Scene, Shape, Texture,
@@ -25,6 +25,9 @@ pub(super) const FIRST_RADIANCE: usize = CAMERA_ROWS + 2;
 const TEXTURE_ROW: usize = 10;
 const MATERIAL_ROW: usize = 12;
 const BITMAP_ROW: usize = 15;
+/// A gap between touching rectangles would leak: their hit tests are a few roundings wider than they are, by this share of
+/// the scene's half extent. Free ones are tested as they are.
+const SLACK: f64 = 2e-6;
 /// Rows are numbered by floats.
 const MAX_ROWS: usize = 1 << 24;
 
@@ -88,7 +91,8 @@ pub(super) fn pack(scene: &Scene, window: Option<FilmWindow>) -> Result<Vec<[f32
     rows.resize(CAMERA_ROWS, [0.0; 4]);
     let shares = light_shares(scene, &order, frame.half_extent);
     for (&i, &upper) in order.iter().zip(&shares) {
-        pack_shape(&scene.shapes[i], &frame, offset, extent, upper, &mut rows);
+        let slack = if is_free(scene, i, frame.half_extent) { 0.0 } else { SLACK * extent };
+        pack_shape(&scene.shapes[i], &frame, offset, slack, upper, &mut rows);
     }
     for (light, &upper) in scene.delta_lights.iter().zip(&shares[order.len()..]) {
         pack_delta(light, &frame, upper, &mut rows);
@@ -247,7 +251,21 @@ fn pack_camera(scene: &Scene, window: Option<FilmWindow>, frame: &Frame, offset:
     rows.push(row(right * center_x + up * center_y - axes.z_axis, focus * frame.scale));
 }
 
-fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64, rows: &mut Vec<[f32; 4]>) {
+/// Whether nothing comes near the edges of a flat shape: spheres apart, no other shape's box meets its box.
+fn is_free(scene: &Scene, index: usize, half_extent: f64) -> bool {
+    let (low, high) = scene.shapes[index].geometry.bounds();
+    let near = DVec3::splat(10.0 * SLACK * half_extent);
+    let (low, high) = (low - near, high + near);
+    let meets = |other: &Shape| {
+        let (other_low, other_high) = other.geometry.bounds();
+        other_low.cmple(high).all() && other_high.cmpge(low).all()
+    };
+    let mut others = scene.shapes.iter().enumerate().filter(|&(i, other)| i != index && !is_sphere(other));
+    others.all(|(_, other)| !meets(other))
+}
+
+/// Rows of one shape; `slack` is how much wider than the surface the hit test of a rectangle is.
+fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, slack: f64, upper: f64, rows: &mut Vec<[f32; 4]>) {
     let begin = rows.len();
     let place = |p: DVec3| (p - frame.center) * frame.scale;
     match shape.geometry {
@@ -260,8 +278,7 @@ fn pack_shape(shape: &Shape, frame: &Frame, offset: f64, extent: f64, upper: f64
             let aligned = axis_of(&shape.geometry) != 0;
             let (u, v) = (snap(half_u * frame.scale, aligned), snap(half_v * frame.scale, aligned));
             let (lu, lv) = (u.length(), v.length());
-            // A gap between touching rectangles would leak: the test is a few roundings wider than the surface.
-            let test = [1.0 + 2e-6 * extent / lu, 1.0 + 2e-6 * extent / lv];
+            let test = [1.0 + slack / lu, 1.0 + slack / lv];
             let inner = [(1.0 - offset / lu).max(0.0), (1.0 - offset / lv).max(0.0)];
             rows.push(row(place(center), 4.0 * lu * lv));
             rows.push(row(shape.albedo, 0.0));
