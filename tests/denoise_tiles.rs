@@ -179,6 +179,12 @@ fn tiles_of_base_equal_the_whole_frame() {
     tiles_equal_the_whole(&glorot(&Architecture::named("base").unwrap()), Inputs::AlbedoNormal, &sizes);
 }
 
+#[test]
+fn tiles_of_kpn_equal_the_whole_frame() {
+    let sizes = [((333, 221), 2), ((99, 310), 1)];
+    tiles_equal_the_whole(&glorot(&Architecture::named("kpn").unwrap()), Inputs::AlbedoNormal, &sizes);
+}
+
 fn tiles_equal_the_whole(weights: &Weights, inputs: Inputs, sizes: &[((u32, u32), u32)]) {
     let gpu = gpu();
     let kernels = Kernels::best(gpu.info());
@@ -282,7 +288,8 @@ fn stats_of_strips_equal_the_frame() {
 /// more is reserved.
 #[test]
 fn memory_is_foretold() {
-    let weights = [small(), seed(), glorot(&Architecture::named("base").unwrap())];
+    let named = |name| glorot(&Architecture::named(name).unwrap());
+    let weights = [small(), seed(), named("base"), named("kpn")];
     for kernels in all_kernels(&gpu()) {
         for weights in &weights {
             let rules = kernels.tile_rules(&weights.architecture);

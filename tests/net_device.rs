@@ -4,7 +4,7 @@
 mod common;
 
 use common::compare::{l2_close, require, same_bits};
-use common::networks::{cut, deep, forward, small_base, tiny, weights, wide};
+use common::networks::{cut, deep, forward, small_base, small_kpn, tiny, weights, wide};
 use common::precision::{families, network_limit};
 use common::{goldens, gpu};
 use limpid::net::architecture::Architecture;
@@ -33,8 +33,8 @@ fn winograd(family: Family) -> &'static [&'static [(Memory, Fusion)]] {
     }
 }
 
-fn input(architecture: &Architecture, [n, h, w]: [usize; 3], name: &str) -> Tensor<f32> {
-    goldens::drawn([n, architecture.input_channels(), h, w], name)
+fn input(architecture: &Architecture, size: [usize; 3], name: &str) -> Tensor<f32> {
+    goldens::network_input(architecture, size, name)
 }
 
 /// Every family and plan against PyTorch's float64 output. The plain plans make the same sums in the same order, and where a
@@ -82,14 +82,24 @@ fn base_matches_pytorch_on_a_batch_of_another_shape() {
     matches_pytorch(&small_base(), [2, 48, 16]);
 }
 
+#[test]
+fn kpn_matches_pytorch() {
+    matches_pytorch(&small_kpn(), [1, 32, 32]);
+}
+
+#[test]
+fn kpn_matches_pytorch_on_a_batch_of_another_shape() {
+    matches_pytorch(&small_kpn(), [2, 48, 16]);
+}
+
 /// The widths that limpid trains and those of Open Image Denoise, with every choice of kernels, against the f64 reference.
 #[test]
-fn base_of_full_width_matches_the_reference() {
+fn base_and_kpn_of_full_width_match_the_reference() {
     let gpu = gpu();
-    for widths in [Widths::default(), Widths::open_image_denoise()] {
-        let base = Architecture::base(&widths).unwrap();
-        let (weights, input) = (weights(&base), input(&base, [1, 48, 32], "full width"));
-        let expected = reference::forward(&base, &weights.to_f64(), &input.to_f64()).pop().unwrap();
+    let widths = [Widths::default(), Widths::open_image_denoise()];
+    for architecture in widths.iter().flat_map(|w| [Architecture::base(w).unwrap(), Architecture::kpn(w).unwrap()]) {
+        let (weights, input) = (weights(&architecture), input(&architecture, [1, 48, 32], "full width"));
+        let expected = reference::forward(&architecture, &weights.to_f64(), &input.to_f64()).pop().unwrap();
         for family in families(gpu.info()) {
             for plan in PLANS.iter().chain(&winograd(family).concat()) {
                 let output = forward(&gpu, &weights, family, *plan, &input);

@@ -90,7 +90,7 @@ fn network_matches_pytorch(architecture: &Architecture, [batch, height, width]: 
     let golden = |part: &str| &goldens[&format!("{case}/{part}")][..];
     let what = |part: &str| format!("{case}/{part}");
     let parameters = golden_parameters(architecture);
-    let input = drawn([batch, architecture.input_channels(), height, width], &what("input"));
+    let input = goldens::network_input(architecture, [batch, height, width], &what("input")).to_f64();
     let values = forward(architecture, &parameters, &input);
     let output = values.last().unwrap();
     pytorch(&what("output"), &output.data, golden("output"));
@@ -117,9 +117,11 @@ fn networks_match_pytorch() {
     network_matches_pytorch(&Architecture::seed(), [2, 64, 32]);
     network_matches_pytorch(&tiny(), [3, 6, 4]);
     // Their widths are those of `make_goldens.py`.
-    let base = Architecture::base(&Widths::from_array([16, 32, 16, 32, 48, 48, 32, 16, 48, 48, 16])).unwrap();
-    network_matches_pytorch(&base, [1, 32, 32]);
-    network_matches_pytorch(&base, [2, 48, 16]);
+    let widths = Widths::from_array([16, 32, 16, 32, 48, 48, 32, 16, 48, 48, 16]);
+    for architecture in [Architecture::base(&widths).unwrap(), Architecture::kpn(&widths).unwrap()] {
+        network_matches_pytorch(&architecture, [1, 32, 32]);
+        network_matches_pytorch(&architecture, [2, 48, 16]);
+    }
 }
 
 #[test]

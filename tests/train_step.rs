@@ -3,7 +3,7 @@
 mod common;
 
 use common::compare::{close, l2_close, relative_l2, require, same_bits, within};
-use common::networks::{forward, small_base, tiny, weights, wide};
+use common::networks::{forward, small_base, small_kpn, tiny, weights, wide};
 use common::precision::{self, f32_families, families, gradient_limit, network_limit};
 use common::{goldens, gpu};
 use limpid::gpu::{Gpu, hazard};
@@ -32,7 +32,7 @@ struct Batch {
 
 fn batch(architecture: &Architecture, [n, h, w]: [usize; 3], name: &str) -> Batch {
     Batch {
-        input: goldens::drawn([n, architecture.input_channels(), h, w], &format!("{name}/input")),
+        input: goldens::network_input(architecture, [n, h, w], &format!("{name}/input")),
         target: goldens::drawn([n, architecture.output_channels(), h, w], &format!("{name}/target")),
     }
 }
@@ -153,6 +153,12 @@ fn steps_of_seed_equal_the_reference() {
 #[test]
 fn steps_of_base_equal_the_reference() {
     three_steps(&small_base(), [2, 32, 16]);
+}
+
+/// Filters of five levels, of a picture that ends before the crop does.
+#[test]
+fn steps_of_kpn_equal_the_reference() {
+    three_steps(&small_kpn(), [2, 32, 16]);
 }
 
 /// The whole trajectory against the reference's, which never sees the device. Adam divides by the gradient's size and so

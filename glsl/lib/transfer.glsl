@@ -39,6 +39,14 @@ vec3 pu_forward(vec3 x) {
     return mix(t, PU_SLOPE * x, lessThanEqual(x, vec3(PU_LINEAR_END))) / PU_AT_65504;
 }
 
+// Its slope, that of the darker side where two parts meet.
+vec3 pu_derivative(vec3 x) {
+    const vec3 power = PU_POWER_SCALE * PU_POWER * pow(max(x, vec3(PU_LINEAR_END)), vec3(PU_POWER - 1.0));
+    const vec3 logarithm = PU_LOG_SCALE / (x + PU_LOG_SHIFT);
+    const vec3 slope = mix(logarithm, power, lessThanEqual(x, vec3(PU_POWER_END)));
+    return mix(slope, vec3(PU_SLOPE), lessThanEqual(x, vec3(PU_LINEAR_END))) / PU_AT_65504;
+}
+
 vec3 pu_inverse(vec3 t) {
     t = min(t * PU_AT_65504, PU_LOG_OFFSET + 69.0 * PU_LOG_SCALE);
     const vec3 power = pow((t - PU_POWER_OFFSET) / PU_POWER_SCALE, vec3(1.0 / PU_POWER));

@@ -112,6 +112,14 @@ impl Preparation {
                 weights.architecture.name()
             )));
         }
+        // Its first and last layers undo and do this transfer.
+        if weights.architecture.name() == "kpn" && transfer != Transfer::Pu {
+            return Err(Error::input(format!(
+                "{file}: metadata `{}`: `kpn` takes `{}`, found `{transfer}`",
+                Transfer::KEY,
+                Transfer::Pu
+            )));
+        }
         Ok(Self { inputs, transfer })
     }
 

@@ -1,6 +1,7 @@
 //! Architectures: short lists of named nodes, and what follows from a list (shapes, cost, receptive field).
 
-use super::base::Widths;
+use super::base::{INPUT_CHANNELS, Widths};
+use super::layer::kernel_filter;
 use crate::{Error, Result};
 use std::ops::Range;
 
@@ -30,6 +31,15 @@ pub enum Op {
     Upsample,
     /// The channels of the first input, then those of the second.
     Concat,
+    /// Radiance without texture, and what is inside the picture, of the network's input: [`demodulate`](super::layer::demodulate).
+    Demodulate,
+    /// 2x2 mean of what is inside the picture: [`masked_pool2d`](super::layer::masked_pool2d).
+    MaskedPool,
+    /// The weighted means that the first input, logits, makes of the second, noisy pixels, and the third, where there is one, the
+    /// coarser level: [`kernel_filter`](super::layer::kernel_filter).
+    KernelFilter,
+    /// The first input with the texture of the second, the network's input, in the space of the network's output.
+    Modulate,
 }
 
 /// One node of an architecture.
@@ -47,6 +57,21 @@ pub struct Node {
     pub level: usize,
     /// Where a convolution's parameters lie in the flat parameter vector.
     pub parameters: Option<ConvParameters>,
+}
+
+impl Node {
+    /// The inputs that have a gradient: nothing before the noisy pixels of a filter has parameters.
+    #[must_use]
+    pub fn differentiated(&self) -> Vec<NodeId> {
+        match self.op {
+            Op::Input { .. } | Op::Demodulate | Op::MaskedPool => Vec::new(),
+            Op::Conv { .. } | Op::MaxPool | Op::Upsample | Op::Concat => self.inputs.clone(),
+            Op::KernelFilter => {
+                self.inputs.iter().copied().enumerate().filter(|(i, _)| *i != 1).map(|(_, id)| id).collect()
+            }
+            Op::Modulate => self.inputs[..1].to_vec(),
+        }
+    }
 }
 
 /// The parameters of one convolution within the flat parameter vector.
@@ -76,11 +101,18 @@ pub struct Architecture {
     nodes: Vec<Node>,
 }
 
+/// Whether a filter takes these.
+fn is_filter(logits: &Node, fine: &Node, coarse: Option<&Node>) -> bool {
+    logits.channels == kernel_filter::logits(coarse.is_some())
+        && (fine.channels, fine.level) == (4, logits.level)
+        && coarse.is_none_or(|coarse| (coarse.channels, coarse.level) == (4, logits.level + 1))
+}
+
 /// A node of a list: its name, what it computes, the names of its inputs.
 pub type Row<'a> = (&'a str, Op, &'a [&'a str]);
 
 /// The names that [`Architecture::named`] knows.
-pub const NAMES: &[&str] = &["seed", "base"];
+pub const NAMES: &[&str] = &["seed", "base", "kpn"];
 
 /// The U-Net of Chaitanya et al. 2017 without its recurrent blocks, with 6 inputs: radiance r, g, b, screen-space normal x,
 /// y, depth. A skip is the value of the last convolution before a pooling; it comes second in the concatenation, after
@@ -133,12 +165,14 @@ impl Architecture {
         Self::from_rows("seed", SEED).expect("the list is right: a test builds it")
     }
 
-    /// The architecture of that name, one of [`NAMES`]; `base` may be followed by a colon and its widths.
+    /// The architecture of that name, one of [`NAMES`]; `base` and `kpn` may be followed by a colon and their widths.
     pub fn named(name: &str) -> Result<Self> {
         match name.split_once(':') {
             None if name == "seed" => Ok(Self::seed()),
             None if name == "base" => Self::base(&Widths::default()),
+            None if name == "kpn" => Self::kpn(&Widths::default()),
             Some(("base", widths)) => Self::base(&widths.parse()?),
+            Some(("kpn", widths)) => Self::kpn(&widths.parse()?),
             _ => Err(Error::input(format!("unknown architecture `{name}`: limpid knows {}", NAMES.join(", ")))),
         }
     }
@@ -185,6 +219,18 @@ impl Architecture {
             (Op::Upsample, [x]) => (x.channels, x.level.checked_sub(1).ok_or("would be larger than the input")?),
             (Op::Concat, [a, b]) if a.level == b.level => (a.channels + b.channels, a.level),
             (Op::Concat, [_, _]) => return Err("its inputs differ in size".into()),
+            (Op::Demodulate, [x]) if x.channels == INPUT_CHANNELS => (4, x.level),
+            (Op::MaskedPool, [x]) if x.channels == 4 => (4, x.level + 1),
+            (Op::KernelFilter, [logits, fine]) if is_filter(logits, fine, None) => (4, logits.level),
+            (Op::KernelFilter, [logits, fine, coarse]) if is_filter(logits, fine, Some(coarse)) => (4, logits.level),
+            (Op::Modulate, [x, input])
+                if (x.channels, input.channels) == (4, INPUT_CHANNELS) && x.level == input.level =>
+            {
+                (3, x.level)
+            }
+            (Op::Demodulate | Op::MaskedPool | Op::KernelFilter | Op::Modulate, _) => {
+                return Err("its inputs have other channels or sizes than it takes".into());
+            }
             _ => return Err(format!("has {} inputs", sources.len())),
         };
         Ok(Node { name: name.to_owned(), op, inputs, channels, level, parameters })
@@ -246,7 +292,7 @@ impl Architecture {
     #[must_use]
     pub fn parameter_scales(&self) -> Vec<f32> {
         let mut scales = vec![1.0; self.parameter_count()];
-        if self.name == "base" {
+        if self.name != "seed" {
             for TensorSpec { name, shape, range } in self.tensors() {
                 super::base::training_scales(&name, &shape, &mut scales[range]);
             }
@@ -278,9 +324,11 @@ impl Architecture {
             // The distance, in input pixels, of neighbouring elements of the node's input.
             let step = node.inputs.first().map_or(1, |&i| 1 << self.nodes[i].level);
             fields.push(match node.op {
-                Op::Input { .. } | Op::Upsample | Op::Concat => widest,
+                Op::Input { .. } | Op::Upsample | Op::Concat | Op::Demodulate | Op::Modulate => widest,
                 Op::Conv { .. } => widest + 2 * step,
-                Op::MaxPool => widest + step,
+                Op::MaxPool | Op::MaskedPool => widest + step,
+                // 2 pixels to either side, or 1 of the coarser level.
+                Op::KernelFilter => widest + 4 * step,
             });
         }
         fields[fields.len() - 1]
@@ -304,9 +352,11 @@ impl Architecture {
             for &input in &node.inputs {
                 let needed = match node.op {
                     Op::Conv { .. } => reach[id].next_multiple_of(block(id)) + 1,
-                    Op::MaxPool => 2 * reach[id],
+                    Op::MaxPool | Op::MaskedPool => 2 * reach[id],
                     Op::Upsample => reach[id].div_ceil(2),
-                    Op::Input { .. } | Op::Concat => reach[id],
+                    Op::KernelFilter if self.nodes[input].level > node.level => reach[id].div_ceil(2) + 1,
+                    Op::KernelFilter if Some(&input) == node.inputs.get(1) => reach[id] + 2,
+                    Op::Input { .. } | Op::Concat | Op::Demodulate | Op::KernelFilter | Op::Modulate => reach[id],
                 };
                 reach[input] = reach[input].max(needed);
             }

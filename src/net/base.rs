@@ -1,12 +1,14 @@
-//! The architecture `base`: the U-Net of Open Image Denoise, its tensor names included, with free widths.
+//! The architecture `base`, the U-Net of Open Image Denoise, its tensor names included, with free widths; and `kpn`, which predicts
+//! kernels with it.
 
 use super::architecture::{Architecture, Op, Row};
+use super::layer::kernel_filter;
 use crate::{Error, Result};
 
 /// Channels of the input: radiance, albedo and normal, three each.
 pub const INPUT_CHANNELS: usize = 9;
 
-/// Channels out of the convolutions of `base`, each a multiple of 16, at most 1024.
+/// Channels out of the convolutions of `base` and `kpn`, each a multiple of 16, at most 1024.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Widths {
     /// `enc_conv0`, `enc_conv1`.
@@ -148,6 +150,47 @@ impl std::fmt::Display for Widths {
     }
 }
 
+/// A convolution without an activation.
+const fn linear(cin: usize, cout: usize) -> Op {
+    Op::Conv { cin, cout, slope: None }
+}
+
+/// The layers of `base` but the last.
+fn trunk(w: &Widths) -> Result<[Row<'static>; 28]> {
+    w.check()?;
+    let conv = |cin, cout| Op::Conv { cin, cout, slope: Some(0.0) };
+    Ok([
+        ("input", Op::Input { channels: INPUT_CHANNELS }, &[]),
+        ("enc_conv0", conv(INPUT_CHANNELS, w.enc1), &["input"]),
+        ("enc_conv1", conv(w.enc1, w.enc1), &["enc_conv0"]),
+        ("pool1", Op::MaxPool, &["enc_conv1"]),
+        ("enc_conv2", conv(w.enc1, w.enc2), &["pool1"]),
+        ("pool2", Op::MaxPool, &["enc_conv2"]),
+        ("enc_conv3", conv(w.enc2, w.enc3), &["pool2"]),
+        ("pool3", Op::MaxPool, &["enc_conv3"]),
+        ("enc_conv4", conv(w.enc3, w.enc4), &["pool3"]),
+        ("pool4", Op::MaxPool, &["enc_conv4"]),
+        ("enc_conv5a", conv(w.enc4, w.enc5), &["pool4"]),
+        ("enc_conv5b", conv(w.enc5, w.enc5), &["enc_conv5a"]),
+        ("upsample4", Op::Upsample, &["enc_conv5b"]),
+        ("concat4", Op::Concat, &["upsample4", "pool3"]),
+        ("dec_conv4a", conv(w.enc5 + w.enc3, w.dec4), &["concat4"]),
+        ("dec_conv4b", conv(w.dec4, w.dec4), &["dec_conv4a"]),
+        ("upsample3", Op::Upsample, &["dec_conv4b"]),
+        ("concat3", Op::Concat, &["upsample3", "pool2"]),
+        ("dec_conv3a", conv(w.dec4 + w.enc2, w.dec3), &["concat3"]),
+        ("dec_conv3b", conv(w.dec3, w.dec3), &["dec_conv3a"]),
+        ("upsample2", Op::Upsample, &["dec_conv3b"]),
+        ("concat2", Op::Concat, &["upsample2", "pool1"]),
+        ("dec_conv2a", conv(w.dec3 + w.enc1, w.dec2a), &["concat2"]),
+        ("dec_conv2b", conv(w.dec2a, w.dec2b), &["dec_conv2a"]),
+        ("upsample1", Op::Upsample, &["dec_conv2b"]),
+        ("concat1", Op::Concat, &["upsample1", "input"]),
+        ("dec_conv1a", conv(w.dec2b + INPUT_CHANNELS, w.dec1a), &["concat1"]),
+        ("dec_conv1b", conv(w.dec1a, w.dec1b), &["dec_conv1a"]),
+    ])
+}
+
 impl Architecture {
     /// The architecture `base`: four poolings; skips from the pooled values of three levels and from the input, each second
     /// in its concatenation; ReLU after all convolutions but the last.
@@ -156,50 +199,45 @@ impl Architecture {
     /// negative is cut off as it becomes radiance, so that the picture is the same, and in training a value that is cut
     /// off still has a gradient.
     pub fn base(widths: &Widths) -> Result<Self> {
-        widths.check()?;
-        let w = widths;
-        let conv = |cin, cout| Op::Conv { cin, cout, slope: Some(0.0) };
-        let rows: &[Row] = &[
-            ("input", Op::Input { channels: INPUT_CHANNELS }, &[]),
-            ("enc_conv0", conv(INPUT_CHANNELS, w.enc1), &["input"]),
-            ("enc_conv1", conv(w.enc1, w.enc1), &["enc_conv0"]),
-            ("pool1", Op::MaxPool, &["enc_conv1"]),
-            ("enc_conv2", conv(w.enc1, w.enc2), &["pool1"]),
-            ("pool2", Op::MaxPool, &["enc_conv2"]),
-            ("enc_conv3", conv(w.enc2, w.enc3), &["pool2"]),
-            ("pool3", Op::MaxPool, &["enc_conv3"]),
-            ("enc_conv4", conv(w.enc3, w.enc4), &["pool3"]),
-            ("pool4", Op::MaxPool, &["enc_conv4"]),
-            ("enc_conv5a", conv(w.enc4, w.enc5), &["pool4"]),
-            ("enc_conv5b", conv(w.enc5, w.enc5), &["enc_conv5a"]),
-            ("upsample4", Op::Upsample, &["enc_conv5b"]),
-            ("concat4", Op::Concat, &["upsample4", "pool3"]),
-            ("dec_conv4a", conv(w.enc5 + w.enc3, w.dec4), &["concat4"]),
-            ("dec_conv4b", conv(w.dec4, w.dec4), &["dec_conv4a"]),
-            ("upsample3", Op::Upsample, &["dec_conv4b"]),
-            ("concat3", Op::Concat, &["upsample3", "pool2"]),
-            ("dec_conv3a", conv(w.dec4 + w.enc2, w.dec3), &["concat3"]),
-            ("dec_conv3b", conv(w.dec3, w.dec3), &["dec_conv3a"]),
-            ("upsample2", Op::Upsample, &["dec_conv3b"]),
-            ("concat2", Op::Concat, &["upsample2", "pool1"]),
-            ("dec_conv2a", conv(w.dec3 + w.enc1, w.dec2a), &["concat2"]),
-            ("dec_conv2b", conv(w.dec2a, w.dec2b), &["dec_conv2a"]),
-            ("upsample1", Op::Upsample, &["dec_conv2b"]),
-            ("concat1", Op::Concat, &["upsample1", "input"]),
-            ("dec_conv1a", conv(w.dec2b + INPUT_CHANNELS, w.dec1a), &["concat1"]),
-            ("dec_conv1b", conv(w.dec1a, w.dec1b), &["dec_conv1a"]),
-            ("dec_conv0", Op::Conv { cin: w.dec1b, cout: 3, slope: None }, &["dec_conv1b"]),
-        ];
-        Self::from_rows("base", rows)
+        let mut rows = trunk(widths)?.to_vec();
+        rows.push(("dec_conv0", linear(widths.dec1b, 3), &["dec_conv1b"]));
+        Self::from_rows("base", &rows)
     }
 
-    /// What [`Architecture::named`] makes this architecture of: its name and, for a `base` of other than the default widths,
+    /// The architecture `kpn`, a kernel-predicting network (Vogels et al. 2018): the layers of [`base`](Self::base) but the last,
+    /// and at each of its five levels a filter whose weights they give. It filters radiance without texture, from the coarsest level to
+    /// the finest.
+    pub fn kpn(widths: &Widths) -> Result<Self> {
+        let w = widths;
+        let (coarsest, others) = (kernel_filter::logits(false), kernel_filter::logits(true));
+        let filters: [Row; 16] = [
+            ("radiance0", Op::Demodulate, &["input"]),
+            ("radiance1", Op::MaskedPool, &["radiance0"]),
+            ("radiance2", Op::MaskedPool, &["radiance1"]),
+            ("radiance3", Op::MaskedPool, &["radiance2"]),
+            ("radiance4", Op::MaskedPool, &["radiance3"]),
+            ("kernel_conv4", linear(w.enc5, coarsest), &["enc_conv5b"]),
+            ("filter4", Op::KernelFilter, &["kernel_conv4", "radiance4"]),
+            ("kernel_conv3", linear(w.dec4, others), &["dec_conv4b"]),
+            ("filter3", Op::KernelFilter, &["kernel_conv3", "radiance3", "filter4"]),
+            ("kernel_conv2", linear(w.dec3, others), &["dec_conv3b"]),
+            ("filter2", Op::KernelFilter, &["kernel_conv2", "radiance2", "filter3"]),
+            ("kernel_conv1", linear(w.dec2b, others), &["dec_conv2b"]),
+            ("filter1", Op::KernelFilter, &["kernel_conv1", "radiance1", "filter2"]),
+            ("kernel_conv0", linear(w.dec1b, others), &["dec_conv1b"]),
+            ("filter0", Op::KernelFilter, &["kernel_conv0", "radiance0", "filter1"]),
+            ("output", Op::Modulate, &["filter0", "input"]),
+        ];
+        Self::from_rows("kpn", &[&trunk(widths)?[..], &filters].concat())
+    }
+
+    /// What [`Architecture::named`] makes this architecture of: its name and, for a `base` or `kpn` of other than the default widths,
     /// these.
     #[must_use]
     pub fn specification(&self) -> String {
         let channels_out = |name: &str| self.node(name).map(|node| node.channels);
         match Widths::read(channels_out) {
-            Ok(widths) if self.name() == "base" && widths != Widths::default() => format!("base:{widths}"),
+            Ok(widths) if self.name() != "seed" && widths != Widths::default() => format!("{}:{widths}", self.name()),
             _ => self.name().to_owned(),
         }
     }

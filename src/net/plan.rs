@@ -2,7 +2,7 @@
 
 use super::architecture::{Architecture, NodeId, Op};
 use super::device::{Channels, DeviceTensor, Shape};
-use super::kernel::{Family, concat, conv2d, leaky_relu, max_pool2d, upsample2d, winograd};
+use super::kernel::{Family, concat, conv2d, demodulate, kernel_filter, leaky_relu, max_pool2d, upsample2d, winograd};
 use super::parameters::{Parameters, conv_layer, node_channels};
 use crate::gpu::{Footprint, Gpu, Recorder};
 use crate::{Error, Result};
@@ -348,6 +348,13 @@ impl Plan {
         winograd::record(&self.gpu, rec, self.family, &pass)
     }
 
+    /// What a filter reads, of the inputs of its node.
+    #[must_use]
+    pub fn filter_operands(&self, inputs: &[NodeId]) -> kernel_filter::Operands<'_> {
+        let value = |id: &NodeId| &self.values[*id];
+        kernel_filter::Operands { logits: value(&inputs[0]), fine: value(&inputs[1]), coarse: inputs.get(2).map(value) }
+    }
+
     fn record_layer(&self, rec: &mut Recorder, parameters: &Parameters, id: NodeId) -> Result<()> {
         let node = &parameters.architecture().nodes()[id];
         let y = &self.values[id];
@@ -357,6 +364,10 @@ impl Plan {
             Op::MaxPool => max_pool2d::record(&self.gpu, rec, x(0), y),
             Op::Upsample => upsample2d::record(&self.gpu, rec, x(0), y),
             Op::Concat => concat::record(&self.gpu, rec, x(0), x(1), y),
+            Op::Demodulate => demodulate::record(&self.gpu, rec, x(0), y),
+            Op::MaskedPool => demodulate::record_pool(&self.gpu, rec, x(0), y),
+            Op::KernelFilter => kernel_filter::record(&self.gpu, rec, self.filter_operands(&node.inputs), y),
+            Op::Modulate => demodulate::record_modulate(&self.gpu, rec, x(0), x(1), y),
             Op::Conv { slope, .. } => {
                 let conv = parameters.convs[id].as_ref().expect("a convolution has parameters");
                 let fused = self.fusion.slope(slope);

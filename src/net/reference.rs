@@ -1,7 +1,7 @@
 //! A whole network in f64, from the layers' references: the oracle of every device plan.
 
 use super::architecture::{Architecture, ConvParameters, Op};
-use super::layer::{concat, conv2d, leaky_relu, max_pool2d, upsample2d};
+use super::layer::{concat, conv2d, demodulate, kernel_filter, leaky_relu, masked_pool2d, max_pool2d, upsample2d};
 use super::tensor::Tensor;
 
 /// The gradients of a loss.
@@ -34,6 +34,10 @@ pub fn forward(architecture: &Architecture, parameters: &[f64], input: &Tensor<f
             Op::MaxPool => max_pool2d::reference(from(0)),
             Op::Upsample => upsample2d::reference(from(0)),
             Op::Concat => concat::reference(from(0), from(1)),
+            Op::Demodulate => demodulate::reference(from(0)),
+            Op::MaskedPool => masked_pool2d::reference(from(0)),
+            Op::KernelFilter => kernel_filter::reference(from(0), from(1), node.inputs.get(2).map(|&i| &values[i])),
+            Op::Modulate => demodulate::modulate_reference(from(0), from(1)),
         };
         values.push(value);
     }
@@ -88,8 +92,20 @@ pub fn backward_with(
                 let (first, second) = concat::reference_backward(&dy, nodes[node.inputs[0]].channels);
                 vec![first, second]
             }
+            // Nothing before the noisy pixels has parameters.
+            Op::Demodulate | Op::MaskedPool => vec![],
+            Op::KernelFilter => {
+                let coarse = node.inputs.get(2).map(|&i| &values[i]);
+                let [logits, fine] = [0, 1].map(|i| &values[node.inputs[i]]);
+                let all = kernel_filter::reference_backward(logits, fine, coarse, &dy);
+                std::iter::once(all.logits).chain(all.coarse).collect()
+            }
+            Op::Modulate => {
+                let [x, input] = [0, 1].map(|i| &values[node.inputs[i]]);
+                vec![demodulate::modulate_reference_backward(x, input, &dy)]
+            }
         };
-        for (&input, part) in node.inputs.iter().zip(&to_inputs) {
+        for (input, part) in node.differentiated().into_iter().zip(&to_inputs) {
             add(&mut gradient.values[input], part);
         }
     }

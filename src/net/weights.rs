@@ -157,7 +157,7 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(|e| Error::io(path, e))
 }
 
-/// The architecture that the file names, checked against the expected one. The widths of `base` are its tensors'.
+/// The architecture that the file names, checked against the expected one. The widths of `base` and `kpn` are their tensors'.
 fn choose(
     found: Option<String>,
     tensors: &SafeTensors,
@@ -172,10 +172,11 @@ fn choose(
     };
     match expected {
         Some(architecture) if architecture.name() == found => Ok(architecture.clone()),
-        None if found == "base" => {
+        None if found == "base" || found == "kpn" => {
             let shape = |name: &str| tensors.tensor(&format!("{name}.weight")).ok().map(|view| view.shape().to_vec());
             let channels_out = |name: &str| shape(name).filter(|shape| shape.len() == 4).map(|shape| shape[0]);
-            let architecture = Widths::read(channels_out).and_then(|widths| Architecture::base(&widths));
+            let build = if found == "base" { Architecture::base } else { Architecture::kpn };
+            let architecture = Widths::read(channels_out).and_then(|widths| build(&widths));
             architecture.map_err(|e| Error::input(format!("{file}: {e}")))
         }
         None if NAMES.contains(&found.as_str()) => Architecture::named(&found),

@@ -215,21 +215,22 @@ fn bad_guides(gpu: &Gpu) -> Result<Outcome> {
     Ok(checks.outcome())
 }
 
-/// Weights of the same function, but every value between the first convolution and the last is `factor` times as large. For a
+/// Weights of the same function, but every value between the first convolution and the linear ones is `factor` times as large. For a
 /// power of two f32 computes the same bits, as long as nothing overflows.
 fn amplified(weights: &Weights, factor: f32) -> Weights {
     let mut weights = weights.clone();
     let nodes = weights.architecture.nodes().to_vec();
     // By how much each channel of each node is larger.
     let mut scales: Vec<Vec<f32>> = Vec::new();
-    for (id, node) in nodes.iter().enumerate() {
+    for node in &nodes {
         let from = |i: usize| scales[node.inputs[i]].clone();
         let scale = match node.op {
             Op::Input { channels } => vec![1.0; channels],
             Op::MaxPool | Op::Upsample => from(0),
             Op::Concat => [from(0), from(1)].concat(),
-            Op::Conv { cin, cout, .. } => {
-                let out = if id + 1 == nodes.len() { 1.0 } else { factor };
+            Op::Demodulate | Op::MaskedPool | Op::KernelFilter | Op::Modulate => vec![1.0; node.channels],
+            Op::Conv { cin, cout, slope } => {
+                let out = if slope.is_none() { 1.0 } else { factor };
                 if let Some(range) = &node.parameters {
                     let weight = weights.parameters[range.weight.clone()].iter_mut().enumerate();
                     let from = from(0);

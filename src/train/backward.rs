@@ -1,6 +1,6 @@
 //! The backward pass of a network at one size.
 
-use super::kernel::{conv2d as conv_grad, elementwise};
+use super::kernel::{conv2d as conv_grad, elementwise, kernel_filter};
 use crate::Result;
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
 use crate::net::architecture::{NodeId, Op};
@@ -16,6 +16,8 @@ pub struct Backward {
     gradients: Vec<Option<DeviceTensor>>,
     /// Where the second gradient of a value goes before it is added to the first.
     extra: Option<Buffer>,
+    /// What the gradients of a filter keep for one another, 16 bytes a pixel.
+    kept: Option<Buffer>,
     scratch: conv_grad::Scratch,
     zero_bias: Slice,
     /// Parameter gradients, laid out as [`Parameters::flat`].
@@ -30,11 +32,14 @@ impl Backward {
     pub fn new(gpu: &Gpu, parameters: &Parameters, plan: &Plan) -> Result<Self> {
         let nodes = parameters.architecture().nodes();
         let gradient = |id: NodeId| match nodes[id].op {
-            Op::Input { .. } => Ok(None),
+            // Nothing before has parameters.
+            Op::Input { .. } | Op::Demodulate | Op::MaskedPool => Ok(None),
             _ => DeviceTensor::new(gpu, &format!("d {}", nodes[id].name), plan.values[id].shape).map(Some),
         };
-        let users = |id: NodeId| nodes.iter().filter(|n| n.inputs.contains(&id)).count();
+        let users = |id: NodeId| nodes.iter().filter(|n| n.differentiated().contains(&id)).count();
         let extra = (1..nodes.len()).filter(|id| users(*id) > 1).map(|id| plan.values[id].shape.bytes()).max();
+        let filters = (0..nodes.len()).filter(|id| nodes[*id].op == Op::KernelFilter);
+        let kept = filters.map(|id| plan.values[id].shape.bytes()).max();
         let convs = parameters
             .convs
             .iter()
@@ -46,6 +51,7 @@ impl Backward {
             gpu: gpu.clone(),
             gradients: (0..nodes.len()).map(gradient).collect::<Result<_>>()?,
             extra: extra.map(|bytes| gpu.buffer("second gradient", bytes)).transpose()?,
+            kept: kept.map(|bytes| gpu.buffer("kept of filters", bytes)).transpose()?,
             scratch: conv_grad::Scratch::new(gpu, parameters.family(), &layers)?,
             zero_bias: gpu.buffer("zero bias", u64::from(widest + 64) * 4)?.all(),
             flat: gpu.buffer("parameter gradients", parameters.flat.bytes())?,
@@ -66,10 +72,15 @@ impl Backward {
         let nodes = parameters.architecture().nodes();
         let mut written: Written = vec![false; nodes.len()];
         for id in (1..nodes.len()).rev() {
-            let dy = self.gradients[id].as_ref().expect("no input");
+            let Some(dy) = self.gradients[id].as_ref() else { continue };
             let inputs = &nodes[id].inputs;
             match nodes[id].op {
-                Op::Input { .. } => {}
+                Op::Input { .. } | Op::Demodulate | Op::MaskedPool => {}
+                Op::KernelFilter => self.filter(rec, &mut written, plan, inputs, dy)?,
+                Op::Modulate => self.into(rec, &mut written, inputs[0], |rec, dx| {
+                    let [x, input] = [0, 1].map(|i| &plan.values[inputs[i]]);
+                    kernel_filter::modulate(&self.gpu, rec, (x, input), dy, dx)
+                })?,
                 Op::MaxPool => self.into(rec, &mut written, inputs[0], |rec, dx| {
                     elementwise::max_pool2d(&self.gpu, rec, &plan.values[inputs[0]], dy, dx)
                 })?,
@@ -119,6 +130,25 @@ impl Backward {
             }
             None => conv2d::record(&self.gpu, rec, family, &conv2d::Pass { x: dy, weight, bias, y: dx, slope: 1.0 }),
         })
+    }
+
+    fn filter(
+        &self,
+        rec: &mut Recorder,
+        written: &mut Written,
+        plan: &Plan,
+        inputs: &[NodeId],
+        dy: &DeviceTensor,
+    ) -> Result<()> {
+        let kept = self.kept.as_ref().expect("made where there is a filter").slice(0, dy.shape.bytes());
+        let operands = plan.filter_operands(inputs);
+        self.into(rec, written, inputs[0], |rec, dx| kernel_filter::logits(&self.gpu, rec, operands, dy, &kept, dx))?;
+        if let Some(coarse) = operands.coarse {
+            self.into(rec, written, inputs[2], |rec, dx| {
+                kernel_filter::coarse(&self.gpu, rec, operands.logits, coarse, &kept, dx)
+            })?;
+        }
+        Ok(())
     }
 
     /// Lets `f` write the gradient of a value, or add to it where an earlier user has written one.

@@ -42,6 +42,19 @@ pub fn drawn(shape: [usize; 4], name: &str) -> Tensor<f32> {
     Tensor::uniform(shape, seed_of(name))
 }
 
+/// The input of a network, drawn under that name. For `kpn` nothing is negative, as no albedo is, and the last rows and columns lie past
+/// the picture's end.
+pub fn network_input(architecture: &Architecture, [batch, height, width]: [usize; 3], name: &str) -> Tensor<f32> {
+    let mut input = drawn([batch, architecture.input_channels(), height, width], name);
+    if architecture.name() == "kpn" {
+        for (i, value) in input.data.iter_mut().enumerate() {
+            let (y, x) = (i / width % height, i % width);
+            *value = if y + 5 >= height || x + 3 >= width { 0.0 } else { value.abs() };
+        }
+    }
+    input
+}
+
 /// The stem of a network's golden keys: `STEM/input` and `STEM/target` name its drawn tensors, `STEM/output` its output.
 pub fn network_case(architecture: &Architecture, [batch, height, width]: [usize; 3]) -> String {
     format!("{}_n{batch}_h{height}_w{width}", architecture.name())

@@ -37,11 +37,17 @@ pub fn tiny() -> Architecture {
     Architecture::from_rows("tiny", rows).expect("the rows fit")
 }
 
+const SMALL: Widths = Widths::from_array([16, 32, 16, 32, 48, 48, 32, 16, 48, 48, 16]);
+
+/// `kpn` of the widths of [`small_base`].
+pub fn small_kpn() -> Architecture {
+    Architecture::kpn(&SMALL).expect("the widths are right")
+}
+
 /// `base` of widths that are small, mostly differ, and at some layers suffice for the kernels of wide ones: after an upsampled
 /// value joined to a pooled one (dec_conv4a) and to the network's input (dec_conv1a).
 pub fn small_base() -> Architecture {
-    let widths = Widths::from_array([16, 32, 16, 32, 48, 48, 32, 16, 48, 48, 16]);
-    Architecture::base(&widths).expect("the widths are right")
+    Architecture::base(&SMALL).expect("the widths are right")
 }
 
 /// 60 channels at full size, joined to 120, then `tail`: at large sizes its tensors exceed a storage binding.

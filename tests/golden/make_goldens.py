@@ -148,18 +148,75 @@ def seed(net, x):
     return net.conv("out_conv", y, 3, slope=None)
 
 
-def base(net, x):
-    """Widths of tests/common/networks.rs, `small_base`."""
+def trunk(net, x):
+    """Widths of tests/common/networks.rs, `small_base`: the features of the five levels, the coarsest first."""
     conv = lambda name, x, cout: net.conv(name, x, cout, slope=0.0)
     pool = lambda x: F.max_pool2d(x, 2)
     pool1 = pool(conv("enc_conv1", conv("enc_conv0", x, 16), 16))
     pool2 = pool(conv("enc_conv2", pool1, 32))
     pool3 = pool(conv("enc_conv3", pool2, 16))
     pool4 = pool(conv("enc_conv4", pool3, 32))
-    y = conv("enc_conv5b", conv("enc_conv5a", pool4, 48), 48)
+    features = [conv("enc_conv5b", conv("enc_conv5a", pool4, 48), 48)]
     for level, skip, widths in [(4, pool3, (48, 48)), (3, pool2, (32, 32)), (2, pool1, (16, 48)), (1, x, (48, 16))]:
-        y = conv(f"dec_conv{level}b", conv(f"dec_conv{level}a", up_cat(y, skip), widths[0]), widths[1])
-    return net.conv("dec_conv0", y, 3, slope=None)
+        a = conv(f"dec_conv{level}a", up_cat(features[-1], skip), widths[0])
+        features.append(conv(f"dec_conv{level}b", a, widths[1]))
+    return features
+
+
+def base(net, x):
+    return net.conv("dec_conv0", trunk(net, x)[-1], 3, slope=None)
+
+
+PU = dict(slope=1.41283765e03, scale=1.64593172, power=4.31384981e-01, offset=-2.94139609e-03, log=1.92653254e-01,
+          shift=6.26026094e-03, log_offset=9.98620152e-01, ends=(1.57945760e-06, 3.22087631e-02),
+          ends_t=(2.23151711e-03, 3.70974749e-01), largest=3.13511904)
+
+
+def pu(x):
+    power = PU["scale"] * x.clamp_min(1e-9) ** PU["power"] + PU["offset"]
+    logarithm = PU["log"] * torch.log(x + PU["shift"]) + PU["log_offset"]
+    t = torch.where(x <= PU["ends"][1], power, logarithm)
+    return torch.where(x <= PU["ends"][0], PU["slope"] * x, t) / PU["largest"]
+
+
+def pu_inverse(t):
+    t = t * PU["largest"]
+    power = ((t - PU["offset"]) / PU["scale"]) ** (1 / PU["power"])
+    logarithm = torch.exp((t - PU["log_offset"]) / PU["log"]) - PU["shift"]
+    x = torch.where(t <= PU["ends_t"][1], power, logarithm)
+    return torch.where(t <= PU["ends_t"][0], t / PU["slope"], x)
+
+
+def patches(x, side):
+    """(n, c, h, w) as (n, c, side * side, h, w): what lies about each pixel, zeros beyond the edge."""
+    n, c, h, w = x.shape
+    return F.unfold(x, side, padding=side // 2).reshape(n, c, side * side, h, w)
+
+
+def kpn(net, x):
+    """Filters of 5x5 noisy pixels and 3x3 coarser ones, weights the softmax over those inside the picture; what is all zero lies
+    past its end. Nothing before the noisy pixels is differentiated."""
+    features = trunk(net, x)
+    x = x.detach()
+    inside = (x != 0).any(1, keepdim=True).to(x.dtype)
+    texture = torch.where((x[:, 3:6] == 0).all(1, keepdim=True), 1.0, x[:, 3:6] + 0.05)
+    levels = [(pu_inverse(x[:, :3]) / texture * inside, inside)]
+    for _ in range(4):
+        color, mask = levels[-1]
+        count = F.avg_pool2d(mask, 2) * 4
+        levels.append((F.avg_pool2d(color, 2) * 4 / count.clamp_min(1), count.clamp_max(1)))
+    out = None
+    for level, feature in zip((4, 3, 2, 1, 0), features):
+        color, mask = levels[level]
+        taps, masks = patches(color, 5), patches(mask, 5)
+        if out is not None:
+            up = lambda t: t.repeat_interleave(2, -1).repeat_interleave(2, -2)
+            taps = torch.cat([taps, up(patches(out[0], 3))], 2)
+            masks = torch.cat([masks, up(patches(out[1], 3))], 2)
+        logits = net.conv(f"kernel_conv{level}", feature, taps.shape[2], slope=None)[:, None]
+        weights = torch.softmax(logits.masked_fill(masks == 0, -1e30), 2) * masks
+        out = (weights * taps).sum(2), (masks.sum(2) > 0).to(x.dtype)
+    return pu(out[0] * texture)
 
 
 def tiny(net, x):
@@ -172,7 +229,12 @@ def network_golden(out, name, build, batch, channels, h, w):
     """Output, loss, gradients: norms of all, the biases' whole, the weights' first and last 32."""
     net = Net()
     case = f"{name}_n{batch}_h{h}_w{w}"
-    x = torch.tensor(uniform((batch, channels, h, w), f"{case}/input"), requires_grad=True)
+    drawn = uniform((batch, channels, h, w), f"{case}/input")
+    if name == "kpn":
+        # Albedo is not negative, and a part lies past the picture's end.
+        drawn = np.abs(drawn)
+        drawn[:, :, h - 5 :], drawn[:, :, :, w - 3 :] = 0, 0
+    x = torch.tensor(drawn, requires_grad=True)
     y = build(net, x)
     loss = F.l1_loss(y, torch.tensor(uniform(tuple(y.shape), f"{case}/target")))
     loss.backward()
@@ -212,6 +274,8 @@ def main():
     network_golden(networks, "seed", seed, 2, 6, 64, 32)
     network_golden(networks, "base", base, 1, 9, 32, 32)
     network_golden(networks, "base", base, 2, 9, 48, 16)
+    network_golden(networks, "kpn", kpn, 1, 9, 32, 32)
+    network_golden(networks, "kpn", kpn, 2, 9, 48, 16)
     network_golden(networks, "tiny", tiny, 3, 2, 6, 4)
     adam_golden(networks)
     for stem, tensors in [("layers", layers), ("networks", networks)]:

@@ -3,6 +3,8 @@
 pub mod concat;
 pub mod conv2d;
 pub mod coop;
+pub mod demodulate;
+pub mod kernel_filter;
 pub mod leaky_relu;
 pub mod max_pool2d;
 pub mod upsample2d;

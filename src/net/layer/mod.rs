@@ -3,8 +3,12 @@
 mod case;
 pub mod concat;
 pub mod conv2d;
+pub mod demodulate;
+pub mod kernel_filter;
 pub mod leaky_relu;
+pub mod masked_pool2d;
 pub mod max_pool2d;
+pub mod pu;
 pub mod upsample2d;
 pub mod winograd;
 

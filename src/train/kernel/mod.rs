@@ -3,3 +3,4 @@
 pub mod conv2d;
 pub mod coop;
 pub mod elementwise;
+pub mod kernel_filter;

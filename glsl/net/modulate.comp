@@ -1,0 +1,28 @@
+#version 460
+// The filtered radiance with its texture, in the space of the network's output: pu(radiance * texture).
+#extension GL_GOOGLE_include_directive : require
+#include "lib/index.glsl"
+#include "lib/transfer.glsl"
+#include "lib/texture.glsl"
+
+layout(local_size_x = 64) in;
+
+layout(set = 0, binding = 0, rgba32f) readonly uniform imageBuffer x;      // [n][h][w]
+layout(set = 0, binding = 1, rgba32f) readonly uniform imageBuffer input_; // [n][h][3][w], the network's input
+layout(set = 0, binding = 2, std430) writeonly buffer Y { vec4 y[]; };     // [n][h][w], a window
+
+layout(push_constant) uniform Push {
+    uint begin;  // first pixel of the window
+    uint count;
+    uint width;
+};
+
+void main() {
+    const uint index = flat_index();
+    if (index >= count) return;
+    const uint at = begin + index;
+    const int from = int(at / width * 3 * width + at % width);
+    const vec3 albedo = vec3(imageLoad(input_, from).w, imageLoad(input_, from + int(width)).xy);
+    const vec3 radiance = imageLoad(x, int(at)).rgb * texture_of(albedo);
+    y[index] = vec4(to_network(TRANSFER_PU, radiance, 1.0), 0.0);
+}

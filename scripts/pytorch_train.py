@@ -1,0 +1,222 @@
+#!/usr/bin/env python3
+"""Trains `base` or `kpn` with PyTorch on the pictures of scripts/training_pictures.py: the peer of `limpid train`, several times as
+fast where a driver runs shaders on the CPU. The same network, loss (five scales) and Adam; the file it writes is one that limpid
+reads and trains on (`limpid train --init`).
+
+    scripts/pytorch_train.py --pool DIR --architecture kpn --init weights/base.safetensors --minutes 60 --out kpn.safetensors
+"""
+import argparse
+import glob
+import json
+import math
+import os
+import random
+import sys
+import time
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from safetensors.torch import load_file, save_file
+
+TRUNK = dict(enc_conv0=(9, 32), enc_conv1=(32, 32), enc_conv2=(32, 48), enc_conv3=(48, 64), enc_conv4=(64, 80), enc_conv5a=(80, 96),
+             enc_conv5b=(96, 96), dec_conv4a=(160, 96), dec_conv4b=(96, 96), dec_conv3a=(144, 64), dec_conv3b=(64, 64),
+             dec_conv2a=(96, 48), dec_conv2b=(48, 32), dec_conv1a=(41, 32), dec_conv1b=(32, 16))
+HEADS = {"base": dict(dec_conv0=(16, 3)),
+         "kpn": dict(kernel_conv4=(96, 25), kernel_conv3=(96, 34), kernel_conv2=(64, 34), kernel_conv1=(32, 34), kernel_conv0=(16, 34))}
+
+
+DEMODULATION = 0.05  # as in src/shared_constants.rs
+
+
+def pu(x):
+    x = x.clamp_min(0)
+    power = 1.64593172 * x.clamp_min(1e-9) ** 4.31384981e-01 - 2.94139609e-03
+    logarithm = 1.92653254e-01 * torch.log(x + 6.26026094e-03) + 9.98620152e-01
+    return torch.where(x <= 1.57945760e-06, 1.41283765e03 * x, torch.where(x <= 3.22087631e-02, power, logarithm)) / 3.13511904
+
+
+def pu_inverse(t):
+    t = t.clamp_min(0) * 3.13511904
+    power = ((t + 2.94139609e-03) / 1.64593172).clamp_min(1e-12) ** (1 / 4.31384981e-01)
+    logarithm = torch.exp((t.clamp_max(14.0) - 9.98620152e-01) / 1.92653254e-01) - 6.26026094e-03
+    return torch.where(t <= 2.23151711e-03, t / 1.41283765e03, torch.where(t <= 3.70974749e-01, power, logarithm))
+
+
+def up(t):
+    return t.repeat_interleave(2, -1).repeat_interleave(2, -2)
+
+
+class KernelFilter(torch.autograd.Function):
+    """As glsl/net/kernel_filter.comp: weights are the softmax of the logits over those taps that lie in the picture."""
+
+    @staticmethod
+    def taps(height, width, fine, coarse):
+        fine = F.pad(fine, (2, 2, 2, 2))
+        for j in range(25):
+            yield fine[:, :, j // 5 : j // 5 + height, j % 5 : j % 5 + width]
+        if coarse is not None:
+            coarse = F.pad(coarse, (1, 1, 1, 1))
+            for j in range(9):
+                yield up(coarse[:, :, j // 3 : j // 3 + height // 2, j % 3 : j % 3 + width // 2])
+
+    @staticmethod
+    def forward(ctx, logits, fine, coarse):
+        batch, count, height, width = logits.shape
+        weights = (logits - logits.amax(1, keepdim=True)).exp_().contiguous()
+        ones = [torch.ones_like(t[:1, :1]) if t is not None else None for t in (fine, coarse)]
+        for j, inside in enumerate(KernelFilter.taps(height, width, *ones)):
+            weights[:, j : j + 1] *= inside
+        weights /= weights.sum(1, keepdim=True)
+        out = torch.zeros_like(fine)
+        for j, tap in enumerate(KernelFilter.taps(height, width, fine, coarse)):
+            out.addcmul_(weights[:, j : j + 1], tap)
+        ctx.save_for_backward(weights, fine, coarse, out)
+        return out
+
+    @staticmethod
+    def backward(ctx, gradient):
+        weights, fine, coarse, out = ctx.saved_tensors
+        batch, count, height, width = weights.shape
+        to_logits = torch.empty_like(weights)
+        for j, tap in enumerate(KernelFilter.taps(height, width, fine, coarse)):
+            to_logits[:, j] = (gradient * tap).sum(1)
+        to_logits -= (gradient * out).sum(1, keepdim=True)
+        to_logits *= weights
+        to_coarse = None
+        if coarse is not None:
+            to_coarse = F.pad(torch.zeros_like(coarse), (1, 1, 1, 1))
+            for j in range(9):
+                part = F.avg_pool2d(gradient * weights[:, 25 + j : 26 + j], 2) * 4
+                to_coarse[:, :, j // 3 : j // 3 + height // 2, j % 3 : j % 3 + width // 2] += part
+            to_coarse = to_coarse[:, :, 1:-1, 1:-1]
+        return to_logits, None, to_coarse
+
+
+class Network(torch.nn.Module):
+    def __init__(self, architecture):
+        super().__init__()
+        self.architecture = architecture
+        for name, (cin, cout) in {**TRUNK, **HEADS[architecture]}.items():
+            conv = torch.nn.Conv2d(cin, cout, 3, padding=1)
+            torch.nn.init.kaiming_uniform_(conv.weight, nonlinearity="relu")
+            torch.nn.init.zeros_(conv.bias)
+            if name.startswith("kernel"):
+                conv.weight.data *= 0.1  # all weights alike at first
+            setattr(self, name, conv)
+
+    def forward(self, radiance, albedo, normal):
+        """Exposed radiance to the transfer of the result."""
+        x = torch.cat([pu(radiance), albedo, 0.5 * normal + 0.5], 1).contiguous(memory_format=torch.channels_last)
+        conv = lambda name, t: F.relu(getattr(self, name)(t))
+        pooled = [conv("enc_conv1", conv("enc_conv0", x))]
+        for name in ("enc_conv2", "enc_conv3", "enc_conv4"):
+            pooled.append(conv(name, F.max_pool2d(pooled[-1], 2)))
+        skips = [x] + [F.max_pool2d(t, 2) for t in pooled[:3]]
+        features = [conv("enc_conv5b", conv("enc_conv5a", F.max_pool2d(pooled[3], 2)))]
+        for level in (4, 3, 2, 1):
+            joined = torch.cat([F.interpolate(features[-1], scale_factor=2), skips[level - 1]], 1)
+            features.append(conv(f"dec_conv{level}b", conv(f"dec_conv{level}a", joined)))
+        if self.architecture == "base":
+            return self.dec_conv0(features[-1])
+        # What has no albedo, an emitter or the sky, stays as it is.
+        texture = torch.where(albedo.amax(1, keepdim=True) > 0, albedo + DEMODULATION, 1.0)
+        levels = [radiance / texture]
+        for _ in range(4):
+            levels.append(F.avg_pool2d(levels[-1], 2))
+        out = None
+        for level, feature in zip((4, 3, 2, 1, 0), features):
+            logits = getattr(self, f"kernel_conv{level}")(feature)
+            out = KernelFilter.apply(logits.contiguous(), levels[level], out)
+        return pu(out * texture)
+
+
+def loss_of(result, target):
+    error, loss = result - target, 0
+    for _ in range(5):
+        loss = loss + error.abs().mean()
+        error = F.avg_pool2d(error, 2)
+    return loss / 5
+
+
+def crops(rng, pool, count, side):
+    inputs, targets = [], []
+    for _ in range(count):
+        picture = rng.choice(pool)
+        _, height, width = picture.shape
+        y, x = rng.randrange(height - side + 1), rng.randrange(width - side + 1)
+        crop = torch.from_numpy(picture[:, y : y + side, x : x + side].astype(np.float32))
+        first = 9 * rng.randrange(2)
+        noisy, target = crop[first : first + 9].clone(), crop[18:]
+        if rng.random() < 0.5:
+            # Axes of the world are a convention: any turned or mirrored normals belong to some picture, mirrored or not.
+            turn = torch.from_numpy(np.linalg.qr(np.random.default_rng(rng.randrange(1 << 30)).normal(size=(3, 3)))[0].astype(np.float32))
+            noisy[6:9] = (turn @ noisy[6:9].reshape(3, -1)).reshape(3, side, side).clamp(-1, 1)
+            if rng.random() < 0.5:
+                noisy, target = noisy.flip(2), target.flip(2)
+            if rng.random() < 0.5:
+                noisy, target = noisy.transpose(1, 2), target.transpose(1, 2)
+        if rng.random() < 0.2:
+            gain = math.exp(rng.gauss(0, 1))  # exposures are estimates
+            noisy, target = noisy.clone(), target * gain
+            noisy[:3] *= gain
+        inputs.append(noisy)
+        targets.append(target)
+    inputs = torch.stack(inputs)
+    return inputs[:, :3], inputs[:, 3:6].clamp(0, 1), inputs[:, 6:9], torch.stack(targets)
+
+
+def save(network, path, steps, options):
+    metadata = dict(architecture=network.architecture, inputs="radiance,albedo,normal", transfer="pu", trainer=f"scripts/pytorch_train.py, PyTorch {torch.__version__}",
+                    command=" ".join(sys.argv), steps=str(steps), init=options.init or "")
+    tensors = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
+    save_file(tensors, path + ".part", metadata)
+    os.rename(path + ".part", path)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pool", required=True)
+    parser.add_argument("--architecture", choices=HEADS, default="kpn")
+    parser.add_argument("--init", help="weights to go on from; tensors that are not in it begin at random")
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--minutes", type=float, required=True, help="by the clock")
+    parser.add_argument("--learning-rate", type=float, default=1e-3)
+    parser.add_argument("--threads", type=int, default=os.cpu_count())
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    torch.manual_seed(options.seed)
+    rng = random.Random(options.seed)
+    network = Network(options.architecture)
+    if options.init:
+        known = {name: t for name, t in load_file(options.init).items() if name in network.state_dict()}
+        network.load_state_dict(known, strict=False)
+    network = network.to(memory_format=torch.channels_last)
+    optimiser = torch.optim.Adam(network.parameters(), lr=options.learning_rate, betas=(0.9, 0.99), eps=1e-10)
+    pool, loaded, begin, steps, losses = [], set(), time.time(), 0, []
+    while (progress := (time.time() - begin) / (60 * options.minutes)) < 1:
+        if steps % 100 == 0:  # the pool may grow meanwhile
+            files = sorted(glob.glob(os.path.join(options.pool, "?????.npy")))
+            new = [file for file in files if file not in loaded]
+            loaded.update(new)
+            pool += [np.load(file) for file in new]
+        rate = min((steps + 1) / 50, 1) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
+        for group in optimiser.param_groups:
+            group["lr"] = options.learning_rate * rate
+        radiance, albedo, normal, target = crops(rng, pool, *((2, 256) if rng.random() < 0.25 else (8, 128)))
+        loss = loss_of(network(radiance, albedo, normal), pu(target))
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        steps += 1
+        losses.append(loss.item())
+        if steps % 100 == 0:
+            print(json.dumps(dict(step=steps, loss=round(float(np.mean(losses[-100:])), 5), seconds=round(time.time() - begin), pictures=len(pool))), flush=True)
+        if steps % 300 == 0:
+            save(network, options.out, steps, options)
+    save(network, options.out, steps, options)
+
+
+if __name__ == "__main__":
+    main()
