@@ -121,8 +121,8 @@ def make(limpid, index, out, folder):
         return channels(path, *groups)
 
     groups = (("R", "G", "B"), ("albedo.R", "albedo.G", "albedo.B"), ("N.X", "N.Y", "N.Z"))
-    # Paths rarely meet small lights: light sampling mostly, but in `spheres`.
-    found = "cosine" if kind == "spheres" or rng.random() < 0.25 else "nee"
+    # Paths rarely meet small lights, and never points: light sampling mostly, but in `spheres`.
+    found = "cosine" if kind == "spheres" or (kind == "rooms" and rng.random() < 0.25) else "nee"
     versions = [render(4 << rng.randrange(5), "nee", rng.choice(["pcg", "sobol"]), *groups), render(4 << rng.randrange(5), found, "pcg", *groups)]
     reference = render(256 if kind == "objects" else 128, "nee", "sobol", groups[0])
     gain = exposure(reference)

@@ -137,9 +137,10 @@ fn shipped_weights_go_by_name() {
     };
     let base = described(&["--weights", "base"]);
     assert_eq!((&base["file"], &base["architecture"]), (&"base".into(), &"base".into()));
-    let (seed, default) = (described(&["--weights", "seed"]), described(&[]));
-    assert_eq!((&seed["architecture"], &seed["sha256"]), (&"seed".into(), &default["sha256"]));
-    assert_ne!(seed["sha256"], base["sha256"]);
+    let [kpn, seed, default] = [&["--weights", "kpn"][..], &["--weights", "seed"], &[]].map(described);
+    assert_eq!((&kpn["architecture"], &kpn["sha256"]), (&"kpn".into(), &default["sha256"]));
+    assert_eq!(seed["architecture"], "seed");
+    assert!(seed["sha256"] != base["sha256"] && kpn["sha256"] != base["sha256"]);
     cli.fails(&["denoise", "a.exr", "-o", "b.exr", "--weights", "./base"], 2, &["./base"]);
     std::fs::copy(cli.path("a.exr"), cli.path("base")).unwrap();
     assert_eq!(described(&["--weights", "base"]), base);

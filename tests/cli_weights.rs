@@ -84,10 +84,16 @@ fn info_prints_what_a_file_holds() {
         assert_eq!((&info["parameters"], &info["kmac_per_pixel"]), (&919_811.into(), &125.4.into()));
         assert_eq!(info["metadata"]["transfer"], "pu");
     }
-    let text = cli.ok(&["weights", "info"]);
-    for part in ["seed\n", "787617", "180.3", "log1p", "radiance,normal_screen.xy,depth"] {
-        assert!(text.contains(part), "{text}");
+    for (name, parts) in [
+        (&["seed"][..], ["seed\n", "787617", "180.3", "log1p", "radiance,normal_screen.xy,depth"]),
+        (&[], ["kpn\n", "750433", "68.6", "pu", "radiance,albedo,normal"]),
+    ] {
+        let text = cli.ok(&[&["weights", "info"], name].concat());
+        assert!(parts.iter().all(|part| text.contains(part)), "{text}");
     }
+    let convert = ["weights", "convert", "kpn.safetensors", "k.tza"];
+    cli.weights_of(&Architecture::kpn(&Widths::default()).unwrap(), "kpn.safetensors");
+    cli.fails(&convert, 2, &["kpn.safetensors", "`kpn`", "base"]);
     cli.fails(&["weights", "info", "missing.safetensors"], 2, &["missing.safetensors"]);
 }
 

@@ -47,6 +47,22 @@ fn small() -> Weights {
     glorot(&Architecture::from_rows("small", rows).unwrap())
 }
 
+/// Two filters whose logits hardly reach beyond their pixel: what a tile must show is what the filters read.
+fn filters() -> Weights {
+    let rows: &[Row] = &[
+        ("input", Op::Input { channels: 9 }, &[]),
+        ("radiance0", Op::Demodulate, &["input"]),
+        ("radiance1", Op::MaskedPool, &["radiance0"]),
+        ("pool", Op::MaxPool, &["input"]),
+        ("logits1", linear(9, 25), &["pool"]),
+        ("filter1", Op::KernelFilter, &["logits1", "radiance1"]),
+        ("logits0", linear(9, 34), &["input"]),
+        ("filter0", Op::KernelFilter, &["logits0", "radiance0", "filter1"]),
+        ("output", Op::Modulate, &["filter0", "input"]),
+    ];
+    glorot(&Architecture::from_rows("filters", rows).unwrap())
+}
+
 fn seed() -> Weights {
     glorot(&Architecture::seed())
 }
@@ -183,6 +199,7 @@ fn tiles_of_base_equal_the_whole_frame() {
 fn tiles_of_kpn_equal_the_whole_frame() {
     let sizes = [((333, 221), 2), ((99, 310), 1)];
     tiles_equal_the_whole(&glorot(&Architecture::named("kpn").unwrap()), Inputs::AlbedoNormal, &sizes);
+    tiles_equal_the_whole(&filters(), Inputs::AlbedoNormal, &[((333, 221), 12), ((70, 411), 6)]);
 }
 
 fn tiles_equal_the_whole(weights: &Weights, inputs: Inputs, sizes: &[((u32, u32), u32)]) {

@@ -74,7 +74,7 @@ fn free_rectangles_are_no_wider_than_they_are() {
     let field = 2.0 * 0.08f64.atan().to_degrees();
     let lit = |squares: &[Shape]| {
         let camera = look(DVec3::new(0.0, 0.0, 1.0), DVec3::ZERO, field, 256, 256);
-        let scene = Scene::new(camera, [&[far.clone()], squares].concat());
+        let scene = Scene::new(camera, [std::slice::from_ref(&far), squares].concat());
         let image = render(&gpu, &scene, &Settings { spp: 1, ..Settings::default() });
         image.channels["R"].iter().filter(|&&v| v == 1.0).count()
     };

@@ -31,7 +31,7 @@ pub struct Args {
     /// EXR file to write
     #[arg(short, long, value_name = "OUT.exr")]
     output: PathBuf,
-    /// Weights: `seed` or `base`, those shipped with limpid, or a safetensors file [default: seed]
+    /// Weights: `kpn`, `seed` or `base`, those shipped with limpid, or a safetensors file [default: kpn]
     #[arg(long, value_name = "NAME|FILE")]
     weights: Option<PathBuf>,
     /// Brightness of the PNG files only, in EV

@@ -81,7 +81,7 @@ pub struct Args {
     /// Reconstruct the picture with the autoencoder
     #[arg(long)]
     pub denoise: bool,
-    /// Weights: `seed` or `base`, those shipped with limpid, or a safetensors file [default: seed]
+    /// Weights: `kpn`, `seed` or `base`, those shipped with limpid, or a safetensors file [default: kpn]
     #[arg(long, value_name = "NAME|FILE", requires = "denoise")]
     pub weights: Option<PathBuf>,
     #[command(flatten)]

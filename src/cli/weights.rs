@@ -36,7 +36,7 @@ enum What {
     },
     /// Print architecture, parameters, cost and metadata
     Info {
-        /// `seed` or `base`, those shipped with limpid, or a .safetensors or .tza file [default: seed]
+        /// `kpn`, `seed` or `base`, those shipped with limpid, or a .safetensors or .tza file [default: kpn]
         #[arg(value_name = "NAME|FILE")]
         file: Option<PathBuf>,
         /// Print one JSON object

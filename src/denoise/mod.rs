@@ -25,7 +25,8 @@ use network::Network;
 use std::path::Path;
 
 /// The weights that are part of the program, by name; the first are the default.
-const EMBEDDED: [(&str, &[u8]); 2] = [
+const EMBEDDED: [(&str, &[u8]); 3] = [
+    ("kpn", include_bytes!("../../weights/kpn.safetensors")),
     ("seed", include_bytes!("../../weights/seed.safetensors")),
     ("base", include_bytes!("../../weights/base.safetensors")),
 ];

@@ -36,7 +36,7 @@ pub enum Op {
     /// 2x2 mean of what is inside the picture: [`masked_pool2d`](super::layer::masked_pool2d).
     MaskedPool,
     /// The weighted means that the first input, logits, makes of the second, noisy pixels, and the third, where there is one, the
-    /// coarser level: [`kernel_filter`](super::layer::kernel_filter).
+    /// coarser level: [`kernel_filter`].
     KernelFilter,
     /// The first input with the texture of the second, the network's input, in the space of the network's output.
     Modulate,
@@ -405,6 +405,33 @@ mod tests {
         assert_eq!((seed.tile_overlap_in_blocks(&deep), seed.tile_step(&deep)), (256, 128));
     }
 
+    /// By hand for two filters and their logits by one convolution each.
+    #[test]
+    fn filters_reach_two_pixels_and_one_of_the_coarser_level() {
+        let linear = |cout| Op::Conv { cin: 9, cout, slope: None };
+        let rows: &[Row] = &[
+            ("input", Op::Input { channels: 9 }, &[]),
+            ("radiance0", Op::Demodulate, &["input"]),
+            ("radiance1", Op::MaskedPool, &["radiance0"]),
+            ("pool", Op::MaxPool, &["input"]),
+            ("logits1", linear(25), &["pool"]),
+            ("filter1", Op::KernelFilter, &["logits1", "radiance1"]),
+            ("logits0", linear(34), &["input"]),
+            ("filter0", Op::KernelFilter, &["logits0", "radiance0", "filter1"]),
+            ("output", Op::Modulate, &["filter0", "input"]),
+        ];
+        // The last pixel reads one of filter1, that reads 2 further of radiance1: 3 of these are 6 pixels.
+        assert_eq!(Architecture::from_rows("filters", rows).unwrap().tile_overlap(), 6);
+        let fine: &[Row] = &[
+            rows[0],
+            rows[1],
+            ("logits0", linear(25), &["input"]),
+            ("filter0", Op::KernelFilter, &["logits0", "radiance0"]),
+            rows[8],
+        ];
+        assert_eq!(Architecture::from_rows("filter", fine).unwrap().tile_overlap(), 2);
+    }
+
     #[test]
     fn seed_has_18_convolutions_and_only_the_last_is_linear() {
         let seed = Architecture::seed();
@@ -449,6 +476,8 @@ mod tests {
             (vec![input, ("a", Op::MaxPool, &["input"])], "last node"),
             (vec![input, ("a", Op::MaxPool, &["input"]), ("b", Op::Concat, &["a", "input"])], "`b`: its inputs differ"),
             (vec![input, ("a", Op::Concat, &["input"])], "`a`: has 1 inputs"),
+            (vec![input, ("a", Op::Demodulate, &["input"])], "`a`: its inputs have other channels or sizes"),
+            (vec![input, ("a", Op::KernelFilter, &["input", "input"])], "`a`: its inputs have other channels or sizes"),
             (vec![("a", conv(6, 3), &[])], "`a`: the first node"),
             (vec![], "last node"),
         ] {

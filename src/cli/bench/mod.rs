@@ -88,7 +88,7 @@ struct Common {
     /// Network architecture
     #[arg(long, default_value = "seed", conflicts_with = "weights")]
     arch: String,
-    /// Weights instead of random ones: `seed` or `base`, those shipped with limpid, or a safetensors file
+    /// Weights instead of random ones: `kpn`, `seed` or `base`, those shipped with limpid, or a safetensors file
     #[arg(long, value_name = "NAME|FILE")]
     weights: Option<PathBuf>,
     /// Timed runs
