@@ -19,6 +19,23 @@ fn same(cli: &Cli, a: &str, b: &str) {
     }
 }
 
+/// One sphere in a corner of nothing: the other tiles are exact as they are.
+#[test]
+fn tiles_that_were_skipped_are_counted() {
+    let cli = Cli::new();
+    let scene = r#"<scene version="3.0.0">
+      <sensor type="perspective"><float name="fov" value="45"/><film type="hdrfilm"><rfilter type="box"/></film>
+        <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform></sensor>
+      <shape type="sphere"><point name="center" x="-1.3" y="1.3" z="0"/><float name="radius" value="0.2"/><bsdf type="diffuse"/></shape>
+      <emitter type="point"><point name="position" x="0" y="2" z="2"/><rgb name="intensity" value="3,3,3"/></emitter>
+    </scene>"#;
+    std::fs::write(cli.path("corner.xml"), scene).unwrap();
+    cli.render(&["corner.xml", "--size", "640x640", "--spp", "2", "-o", "noisy.exr"]);
+    let report = cli.json(&["denoise", "noisy.exr", "-o", "a.exr", "--tile", "64", "--json"]);
+    let [tiles, skipped] = ["tiles", "skipped"].map(|key| report["tiling"][key].as_u64().expect("a number"));
+    assert!(tiles >= 9 && skipped >= tiles - 4 && skipped < tiles, "{skipped} of {tiles}");
+}
+
 #[test]
 fn tiles_write_the_same_files() {
     let cli = Cli::new();

@@ -25,6 +25,8 @@ pub struct Reconstruction {
     kernels: Option<kernels::Choice>,
     choice: Option<Choice>,
     repaired: u64,
+    /// Tiles of the last picture in which nothing was noisy.
+    skipped: u32,
     made: Option<(Choice, Made)>,
 }
 
@@ -42,7 +44,18 @@ impl Reconstruction {
         let weights = file.map_or_else(embedded_weights, weights_of)?;
         let inputs = Preparation::of_weights(&weights, &name)?.inputs;
         let sha256 = weights.sha256();
-        Ok(Self { name, weights, inputs, sha256, cut, kernels: None, choice: None, repaired: 0, made: None })
+        Ok(Self {
+            name,
+            weights,
+            inputs,
+            sha256,
+            cut,
+            kernels: None,
+            choice: None,
+            repaired: 0,
+            skipped: 0,
+            made: None,
+        })
     }
 
     /// What the network reads of a frame.
@@ -88,16 +101,8 @@ impl Reconstruction {
         Some(json!({
             "tiles": tiling.count(), "core": [core.0, core.1], "window": [window.0, window.1], "overlap": tiling.overlap(),
             "exact_overlap": tiling.exact_overlap(), "blend": tiling.blend(), "exact": tiling.is_exact(),
-            "device_bytes": bytes, "skipped": self.skipped(),
+            "device_bytes": bytes, "skipped": self.skipped,
         }))
-    }
-
-    /// Tiles of the last picture in which nothing was noisy.
-    fn skipped(&self) -> u32 {
-        match &self.made {
-            Some((_, Made::Tiled(denoiser))) => denoiser.skipped(),
-            _ => 0,
-        }
     }
 
     /// A line about the last picture where it is not what the whole frame gives.
@@ -142,27 +147,27 @@ impl Reconstruction {
         if (0..image.pixel_count()).all(exact) {
             let noisy = noisy.map(<[f32]>::to_vec);
             image.set_rgb("", noisy);
-            self.repaired = 0;
+            (self.repaired, self.skipped) = (0, 0);
             return Ok(None);
         }
         let inputs = self.inputs;
         let choice = self.choose(gpu, (image.width, image.height), resident.is_some())?;
-        let (planes, timings, repaired) = match (self.make(gpu, choice, resident.is_some())?, resident) {
+        let (planes, timings, repaired, skipped) = match (self.make(gpu, choice, resident.is_some())?, resident) {
             (Made::Whole(denoiser), Some((radiance, guides))) => {
                 let (planes, timings) = denoiser.run(radiance, guides)?;
-                (planes, timings, denoiser.repaired()?)
+                (planes, timings, denoiser.repaired()?, 0)
             }
             (Made::Tiled(denoiser), _) => {
                 let planes = planes(image, inputs, &exact)?;
                 let planes: Vec<Plane> = planes.iter().map(|plane| &**plane as Plane).collect();
                 let (planes, timings) = denoiser.run(&planes, progress)?;
-                (planes, timings, denoiser.repaired()?)
+                (planes, timings, denoiser.repaired()?, denoiser.skipped())
             }
             (Made::Whole(_), None) => unreachable!("made for frames on the device"),
         };
         image.set_rgb("", planes);
         image.attributes.insert("repairedPixels".into(), repaired.to_string());
-        self.repaired = repaired;
+        (self.repaired, self.skipped) = (repaired, skipped);
         Ok(Some(timings))
     }
 
