@@ -26,7 +26,6 @@ void main() {
     const vec4 second = imageLoad(x, from + int(width));
     const float normal_z = imageLoad(x, from + int(2 * width)).x;
     const bool inside = any(notEqual(first, vec4(0.0))) || any(notEqual(second, vec4(0.0))) || normal_z != 0.0;
-    const vec3 albedo = vec3(first.w, second.xy);
-    const vec3 radiance = from_network(TRANSFER_PU, first.rgb, 1.0) / texture_of(albedo);
+    const vec3 radiance = from_network(TRANSFER_PU, first.rgb, 1.0) / texture_of(first, second);
     y[index] = inside ? vec4(min(radiance, MAX_EXPOSED), 1.0) : vec4(0.0);
 }

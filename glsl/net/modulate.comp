@@ -22,7 +22,7 @@ void main() {
     if (index >= count) return;
     const uint at = begin + index;
     const int from = int(at / width * 3 * width + at % width);
-    const vec3 albedo = vec3(imageLoad(input_, from).w, imageLoad(input_, from + int(width)).xy);
-    const vec3 radiance = imageLoad(x, int(at)).rgb * texture_of(albedo);
+    const vec3 factor = texture_of(imageLoad(input_, from), imageLoad(input_, from + int(width)));
+    const vec3 radiance = imageLoad(x, int(at)).rgb * factor;
     y[index] = vec4(to_network(TRANSFER_PU, radiance, 1.0), 0.0);
 }

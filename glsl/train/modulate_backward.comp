@@ -23,7 +23,6 @@ void main() {
     if (index >= count) return;
     const uint at = begin + index;
     const int from = int(at / width * 3 * width + at % width);
-    const vec3 albedo = vec3(imageLoad(input_, from).w, imageLoad(input_, from + int(width)).xy);
-    const vec3 factor = texture_of(albedo);
+    const vec3 factor = texture_of(imageLoad(input_, from), imageLoad(input_, from + int(width)));
     dx[index] = vec4(imageLoad(dy, int(at)).rgb * factor * pu_derivative(imageLoad(x, int(at)).rgb * factor), 0.0);
 }

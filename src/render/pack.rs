@@ -90,8 +90,11 @@ pub(super) fn pack(scene: &Scene, window: Option<FilmWindow>) -> Result<Vec<[f32
     pack_camera(scene, window, &frame, offset, &mut rows);
     rows.resize(CAMERA_ROWS, [0.0; 4]);
     let shares = light_shares(scene, &order, frame.half_extent);
+    let edges = |shape: &Shape| (!is_sphere(shape)).then(|| shape.geometry.bounds());
+    let boxes: Vec<_> = scene.shapes.iter().map(edges).collect();
     for (&i, &upper) in order.iter().zip(&shares) {
-        let slack = if is_free(scene, i, frame.half_extent) { 0.0 } else { SLACK * extent };
+        let rectangle = matches!(scene.shapes[i].geometry, Geometry::Rectangle { .. });
+        let slack = if rectangle && touches(&boxes, i, frame.half_extent) { SLACK * extent } else { 0.0 };
         pack_shape(&scene.shapes[i], &frame, offset, slack, upper, &mut rows);
     }
     for (light, &upper) in scene.delta_lights.iter().zip(&shares[order.len()..]) {
@@ -251,17 +254,12 @@ fn pack_camera(scene: &Scene, window: Option<FilmWindow>, frame: &Frame, offset:
     rows.push(row(right * center_x + up * center_y - axes.z_axis, focus * frame.scale));
 }
 
-/// Whether nothing comes near the edges of a flat shape: spheres apart, no other shape's box meets its box.
-fn is_free(scene: &Scene, index: usize, half_extent: f64) -> bool {
-    let (low, high) = scene.shapes[index].geometry.bounds();
+/// Whether another shape but a sphere comes near shape `index`: whether its box meets one of `boxes`, those of the shapes.
+fn touches(boxes: &[Option<(DVec3, DVec3)>], index: usize, half_extent: f64) -> bool {
     let near = DVec3::splat(10.0 * SLACK * half_extent);
-    let (low, high) = (low - near, high + near);
-    let meets = |other: &Shape| {
-        let (other_low, other_high) = other.geometry.bounds();
-        other_low.cmple(high).all() && other_high.cmpge(low).all()
-    };
-    let mut others = scene.shapes.iter().enumerate().filter(|&(i, other)| i != index && !is_sphere(other));
-    others.all(|(_, other)| !meets(other))
+    let meets = |a: (DVec3, DVec3), b: (DVec3, DVec3)| b.0.cmple(a.1 + near).all() && b.1.cmpge(a.0 - near).all();
+    let mut others = boxes.iter().enumerate().filter(|(i, _)| *i != index).filter_map(|(_, other)| *other);
+    boxes[index].is_some_and(|own| others.any(|other| meets(own, other)))
 }
 
 /// Rows of one shape; `slack` is how much wider than the surface the hit test of a rectangle is.

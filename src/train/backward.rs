@@ -31,9 +31,8 @@ impl Backward {
     /// Tensors for the backward pass of `plan`, whose values must all be kept.
     pub fn new(gpu: &Gpu, parameters: &Parameters, plan: &Plan) -> Result<Self> {
         let nodes = parameters.architecture().nodes();
-        let gradient = |id: NodeId| match nodes[id].op {
-            // Nothing before has parameters.
-            Op::Input { .. } | Op::Demodulate | Op::MaskedPool => Ok(None),
+        let gradient = |id: NodeId| match &nodes[id].differentiated()[..] {
+            [] => Ok(None),
             _ => DeviceTensor::new(gpu, &format!("d {}", nodes[id].name), plan.values[id].shape).map(Some),
         };
         let users = |id: NodeId| nodes.iter().filter(|n| n.differentiated().contains(&id)).count();
