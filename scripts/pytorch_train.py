@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Trains `base` or `kpn` with PyTorch on the pictures of scripts/training_pictures.py: the peer of `limpid train`, several times as
-fast where a driver runs shaders on the CPU. The same network, loss (five scales) and Adam; the file it writes is one that limpid
+fast where a driver runs shaders on the CPU. The same network and Adam; to its loss (five scales) a little relMSE is added. The file it writes is one that limpid
 reads and trains on (`limpid train --init`).
 
     scripts/pytorch_train.py --pool DIR --architecture kpn --init weights/base.safetensors --minutes 60 --out kpn.safetensors
@@ -48,7 +48,16 @@ def up(t):
 
 
 class KernelFilter(torch.autograd.Function):
-    """As glsl/net/kernel_filter.comp: weights are the softmax of the logits over those taps that lie in the picture."""
+    """As glsl/net/kernel_filter.comp: weights are the softmax of the logits over those taps that lie in the picture, those of the
+    coarser level times a spline."""
+
+    @staticmethod
+    def spline(height, width, device):
+        """Quadratic B-spline of the 3x3 coarser pixels' distances, (1, 9, height, width)."""
+        even = torch.tensor([9 / 32, 22 / 32, 1 / 32], device=device)
+        along = torch.stack([even, even.flip(0)])  # by the pixel's parity
+        both = along[:, None, :, None] * along[None, :, None, :]
+        return both.permute(2, 3, 0, 1).reshape(1, 9, 2, 2).repeat(1, 1, height // 2, width // 2)
 
     @staticmethod
     def taps(height, width, fine, coarse):
@@ -67,6 +76,8 @@ class KernelFilter(torch.autograd.Function):
         ones = [torch.ones_like(t[:1, :1]) if t is not None else None for t in (fine, coarse)]
         for j, inside in enumerate(KernelFilter.taps(height, width, *ones)):
             weights[:, j : j + 1] *= inside
+        if coarse is not None:
+            weights[:, 25:] *= KernelFilter.spline(height, width, weights.device)
         weights /= weights.sum(1, keepdim=True)
         out = torch.zeros_like(fine)
         for j, tap in enumerate(KernelFilter.taps(height, width, fine, coarse)):
@@ -139,6 +150,11 @@ def loss_of(result, target):
     return loss / 5
 
 
+def relative_squares(result, target):
+    """relMSE of radiance; what is wrong by more than 7 times counts no more than that, for single pixels would rule the step."""
+    return ((result - target) ** 2 / (target**2 + 0.01)).clamp_max(50).mean()
+
+
 def crops(rng, pool, count, side):
     inputs, targets = [], []
     for _ in range(count):
@@ -182,6 +198,7 @@ def main():
     parser.add_argument("--out", required=True)
     parser.add_argument("--minutes", type=float, required=True, help="by the clock")
     parser.add_argument("--learning-rate", type=float, default=1e-3)
+    parser.add_argument("--relative-squares", type=float, default=0.1, help="share of relMSE in the loss")
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -194,6 +211,8 @@ def main():
         network.load_state_dict(known, strict=False)
     network = network.to(memory_format=torch.channels_last)
     optimiser = torch.optim.Adam(network.parameters(), lr=options.learning_rate, betas=(0.9, 0.99), eps=1e-10)
+    # What is saved is a mean over some hundred steps.
+    average = torch.optim.swa_utils.AveragedModel(network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.995))
     pool, loaded, begin, steps, losses = [], set(), time.time(), 0, []
     while (progress := (time.time() - begin) / (60 * options.minutes)) < 1:
         if steps % 100 == 0:  # the pool may grow meanwhile
@@ -205,17 +224,21 @@ def main():
         for group in optimiser.param_groups:
             group["lr"] = options.learning_rate * rate
         radiance, albedo, normal, target = crops(rng, pool, *((2, 256) if rng.random() < 0.25 else (8, 128)))
-        loss = loss_of(network(radiance, albedo, normal), pu(target))
+        result = network(radiance, albedo, normal)
+        squares = relative_squares(pu_inverse(result), target)
+        loss = loss_of(result, pu(target))
         optimiser.zero_grad()
-        loss.backward()
+        (loss + options.relative_squares * squares).backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 0.1)
         optimiser.step()
         steps += 1
-        losses.append(loss.item())
+        average.update_parameters(network)
+        losses.append((loss.item(), squares.item()))
         if steps % 100 == 0:
-            print(json.dumps(dict(step=steps, loss=round(float(np.mean(losses[-100:])), 5), seconds=round(time.time() - begin), pictures=len(pool))), flush=True)
+            print(json.dumps(dict(step=steps, loss=[round(float(x), 5) for x in np.mean(losses[-100:], 0)], seconds=round(time.time() - begin), pictures=len(pool))), flush=True)
         if steps % 300 == 0:
-            save(network, options.out, steps, options)
-    save(network, options.out, steps, options)
+            save(average.module, options.out, steps, options)
+    save(average.module, options.out, steps, options)
 
 
 if __name__ == "__main__":

@@ -156,8 +156,35 @@ fn filters_by_hand() {
     assert!((kernel_filter::reference(&logits, &fine, None).at(0, 0, 2, 2) - 19.0).abs() < 1e-9);
     let logits = Tensor::zeros([1, 34, h, w]);
     let both = kernel_filter::reference(&logits, &fine, Some(&coarse));
-    assert!((both.at(0, 0, 2, 2) - (25.0 * 18.0 + 9.0) / 34.0).abs() < 1e-9);
-    assert!((both.at(0, 0, 0, 0) - (9.0 * 9.0 + 4.0) / 13.0).abs() < 1e-9);
+    // The spline's nine weights add up to 1; at a corner (22 + 1) / 32 of them is left in both directions.
+    assert!((both.at(0, 0, 2, 2) - (25.0 * 18.0 + 1.0) / 26.0).abs() < 1e-9);
+    let left = (23.0f64 / 32.0).powi(2);
+    assert!((both.at(0, 0, 0, 0) - (9.0 * 9.0 + left) / (9.0 + left)).abs() < 1e-9);
+}
+
+/// With equal logits the coarser level is interpolated: what rises evenly there rises evenly here, in both directions.
+#[test]
+fn equal_logits_interpolate_the_coarser_level() {
+    let [h, w] = [16usize, 20];
+    let mut logits = Tensor::<f64>::zeros([1, 34, h, w]);
+    let noisy = 25 * h * w;
+    logits.data[..noisy].fill(-200.0);
+    let mut fine = Tensor::zeros([1, 4, h, w]);
+    let mut coarse = Tensor::zeros([1, 4, h / 2, w / 2]);
+    for (tensor, scale) in [(&mut fine, 1.0), (&mut coarse, 2.0)] {
+        let [_, _, h, w] = tensor.shape;
+        for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
+            let (red, mask) = (tensor.index(0, 0, y, x), tensor.index(0, 3, y, x));
+            tensor.data[red] = scale * (3.0 * (x as f64 + 0.5) + 5.0 * (y as f64 + 0.5));
+            tensor.data[mask] = 1.0;
+        }
+    }
+    let y = kernel_filter::reference(&logits, &fine, Some(&coarse));
+    let inner = (2..h - 2).flat_map(|row| (2..w - 2).map(move |column| (row, column)));
+    for (row, column) in inner {
+        let expected = fine.at(0, 0, row, column);
+        assert!((y.at(0, 0, row, column) - expected).abs() < 1e-9, "{row}, {column}");
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 #version 460
 // Gradient of kernel_filter.comp with respect to the logits: weight * (tap - result) . dy. Also keeps, for the coarser level's gradient, dy
-// and the logarithm of the sum of exp(logit) of each pixel.
+// and the logarithm of the sum of w * exp(logit) of each pixel.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
 
@@ -37,7 +37,7 @@ void main() {
         vec4 slope;
         for (uint k = 0; k < 4; ++k) {
             const vec4 tap = tap_of(n, p, 4 * t + k);
-            slope[k] = tap.w != 0.0 ? exp(logits[k] - mean.largest) / mean.sum * dot(g, tap.rgb - mean.color) : 0.0;
+            slope[k] = tap.w != 0.0 ? tap.w * exp(logits[k] - mean.largest) / mean.sum * dot(g, tap.rgb - mean.color) : 0.0;
         }
         dx[(index / width * LOGIT_TEXELS + t) * width + p.x] = slope;
     }

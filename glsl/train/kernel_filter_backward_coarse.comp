@@ -2,6 +2,7 @@
 // Gradient of kernel_filter.comp with respect to the coarser level: of each of its pixels, the sum of weight * dy over the 6x6 pixels that read it.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
+#include "lib/spline.glsl"
 
 layout(local_size_x = 64) in;
 
@@ -38,7 +39,7 @@ void main() {
             const int pixel_row = int(n) * size.y + p.y;
             const vec4 k = imageLoad(kept, pixel_row * size.x + p.x);
             const float l = imageLoad(logit, (pixel_row * int(LOGIT_TEXELS) + tap / 4) * size.x + p.x)[tap % 4];
-            sum += exp(l - k.w) * k.rgb;
+            sum += spline(p, step - 1) * exp(l - k.w) * k.rgb;
         }
     }
     dx[index] = vec4(sum, 0.0);

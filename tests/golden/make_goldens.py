@@ -193,9 +193,20 @@ def patches(x, side):
     return F.unfold(x, side, padding=side // 2).reshape(n, c, side * side, h, w)
 
 
+def spline(h, w):
+    """Quadratic B-spline of the distances of 3x3 coarser pixels, (9, h, w)."""
+    def along(size):
+        x = torch.arange(size, dtype=torch.float64)
+        steps = torch.arange(-1, 2, dtype=torch.float64)[:, None]
+        d = (steps + 0.5 - (x % 2 + 0.5) / 2).abs()
+        return torch.where(d < 0.5, 0.75 - d**2, 0.5 * (1.5 - d) ** 2)
+
+    return torch.einsum("ih,jw->ijhw", along(h), along(w)).reshape(9, h, w)
+
+
 def kpn(net, x):
-    """Filters of 5x5 noisy pixels and 3x3 coarser ones, weights the softmax over those inside the picture; what is all zero lies
-    past its end. Nothing before the noisy pixels is differentiated."""
+    """Filters of 5x5 noisy pixels and 3x3 coarser ones, weights the softmax over those inside the picture times a spline of the
+    coarser ones' distance; what is all zero lies past its end. Nothing before the noisy pixels is differentiated."""
     features = trunk(net, x)
     x = x.detach()
     inside = (x != 0).any(1, keepdim=True).to(x.dtype)
@@ -214,6 +225,8 @@ def kpn(net, x):
             taps = torch.cat([taps, up(patches(out[0], 3))], 2)
             masks = torch.cat([masks, up(patches(out[1], 3))], 2)
         logits = net.conv(f"kernel_conv{level}", feature, taps.shape[2], slope=None)[:, None]
+        if out is not None:
+            logits = torch.cat([logits[:, :, :25], logits[:, :, 25:] + spline(*color.shape[2:]).log()], 2)
         weights = torch.softmax(logits.masked_fill(masks == 0, -1e30), 2) * masks
         out = (weights * taps).sum(2), (masks.sum(2) > 0).to(x.dtype)
     return pu(out[0] * texture)

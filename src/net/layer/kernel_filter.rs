@@ -1,6 +1,8 @@
 //! The filter of a kernel-predicting network (Bako et al. 2017, Vogels et al. 2018): every pixel is a weighted mean of 5x5 noisy
 //! pixels and, but at the coarsest level, of 3x3 filtered ones of the next coarser level. The weights are the softmax of the
-//! network's logits over those that lie inside the picture: no result is beyond what it is made of.
+//! network's logits over those that lie inside the picture: no result is beyond what it is made of. Those of the coarser level are
+//! multiplied with a quadratic B-spline of their distance first, so that equal logits interpolate: a network does not see which of
+//! the four pixels below a coarser one it works on.
 
 use super::demodulate::each_pixel;
 use crate::net::tensor::Tensor;
@@ -25,8 +27,26 @@ pub struct Gradients {
     pub coarse: Option<Tensor<f64>>,
 }
 
-/// The taps of a pixel that lie inside: number of the logit, whether it is coarse, row and column.
-fn taps(fine: &Tensor<f64>, coarse: Option<&Tensor<f64>>, [n, y, x]: [usize; 3]) -> Vec<(usize, bool, usize, usize)> {
+/// A pixel that is filtered.
+#[derive(Clone, Copy)]
+struct Tap {
+    /// Number of its logit.
+    logit: usize,
+    coarse: bool,
+    row: usize,
+    column: usize,
+    /// What the exponential of the logit is multiplied with.
+    factor: f64,
+}
+
+/// The quadratic B-spline of the way from the middle of pixel `x` to that of the coarser pixel `to`, in coarser pixels.
+fn spline(x: usize, to: usize) -> f64 {
+    let distance = ((x as f64 + 0.5) / 2.0 - (to as f64 + 0.5)).abs();
+    if distance < 0.5 { 0.75 - distance * distance } else { 0.5 * (1.5 - distance).powi(2) }
+}
+
+/// The taps of a pixel that lie inside.
+fn taps(fine: &Tensor<f64>, coarse: Option<&Tensor<f64>>, [n, y, x]: [usize; 3]) -> Vec<Tap> {
     let around = |image: &Tensor<f64>, [y, x]: [usize; 2], reach: i64| {
         let [_, _, height, width] = image.shape;
         let side = 2 * reach + 1;
@@ -38,16 +58,21 @@ fn taps(fine: &Tensor<f64>, coarse: Option<&Tensor<f64>>, [n, y, x]: [usize; 3])
         };
         (0..side * side).filter_map(inside).collect::<Vec<_>>()
     };
-    let near = around(fine, [y, x], 2).into_iter().map(|(j, (row, column))| (j, false, row, column));
-    let far = coarse.map_or(Vec::new(), |coarse| around(coarse, [y / 2, x / 2], 1));
-    near.chain(far.into_iter().map(|(j, (row, column))| (FINE_TAPS + j, true, row, column))).collect()
+    let near = around(fine, [y, x], 2).into_iter();
+    let near = near.map(|(logit, (row, column))| Tap { logit, coarse: false, row, column, factor: 1.0 });
+    let far = coarse.map_or(Vec::new(), |coarse| around(coarse, [y / 2, x / 2], 1)).into_iter();
+    let far = far.map(|(j, (row, column))| {
+        let factor = spline(y, row) * spline(x, column);
+        Tap { logit: FINE_TAPS + j, coarse: true, row, column, factor }
+    });
+    near.chain(far).collect()
 }
 
 /// The weights of [`taps`].
-fn softmax(logits: &Tensor<f64>, taps: &[(usize, bool, usize, usize)], [n, y, x]: [usize; 3]) -> Vec<f64> {
-    let values = taps.iter().map(|&(j, ..)| logits.at(n, j, y, x));
-    let most = values.clone().fold(f64::NEG_INFINITY, f64::max);
-    let powers: Vec<f64> = values.map(|v| (v - most).exp()).collect();
+fn softmax(logits: &Tensor<f64>, taps: &[Tap], [n, y, x]: [usize; 3]) -> Vec<f64> {
+    let value = |tap: &Tap| logits.at(n, tap.logit, y, x);
+    let most = taps.iter().map(value).fold(f64::NEG_INFINITY, f64::max);
+    let powers: Vec<f64> = taps.iter().map(|tap| tap.factor * (value(tap) - most).exp()).collect();
     let sum: f64 = powers.iter().sum();
     powers.into_iter().map(|p| p / sum).collect()
 }
@@ -63,9 +88,9 @@ pub fn reference(logits: &Tensor<f64>, fine: &Tensor<f64>, coarse: Option<&Tenso
         let taps = taps(fine, coarse, [n, y, x]);
         let weights = softmax(logits, &taps, [n, y, x]);
         for c in 0..3 {
-            let value = |&(_, far, row, column): &(usize, bool, usize, usize)| match coarse {
-                Some(coarse) if far => coarse.at(n, c, row, column),
-                _ => fine.at(n, c, row, column),
+            let value = |tap: &Tap| match coarse {
+                Some(coarse) if tap.coarse => coarse.at(n, c, tap.row, tap.column),
+                _ => fine.at(n, c, tap.row, tap.column),
             };
             let i = output.index(n, c, y, x);
             output.data[i] = taps.iter().zip(&weights).map(|(tap, w)| w * value(tap)).sum();
@@ -90,10 +115,10 @@ pub fn reference_backward(
     each_pixel([batch, height, width], |n, y, x| {
         let taps = taps(fine, coarse, [n, y, x]);
         let weights = softmax(logits, &taps, [n, y, x]);
-        for (&(j, far, row, column), w) in taps.iter().zip(&weights) {
+        for (&Tap { logit, coarse: far, row, column, .. }, w) in taps.iter().zip(&weights) {
             let from = coarse.filter(|_| far).unwrap_or(fine);
             let slope = |c| dy.at(n, c, y, x) * (from.at(n, c, row, column) - output.at(n, c, y, x));
-            let i = to_logits.index(n, j, y, x);
+            let i = to_logits.index(n, logit, y, x);
             to_logits.data[i] = w * (0..3).map(slope).sum::<f64>();
             if let Some(to_coarse) = to_coarse.as_mut().filter(|_| far) {
                 for c in 0..3 {
