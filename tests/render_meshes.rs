@@ -127,6 +127,28 @@ fn mesh_light_on_a_patch() {
     }
 }
 
+/// A strip of 2,048 triangles that are thinner than a hit is exact: a shadow ray that ends on one of them may not be stopped by its
+/// neighbours. Half length b at distance 1, width w: albedo / pi * w * (atan b + b / (1 + b^2)).
+#[test]
+fn slivers_of_a_light_do_not_shade_one_another() {
+    let gpu = device();
+    let (b, half_width) = (0.5f64, 1e-5);
+    let expected = 0.5 / std::f64::consts::PI * 3e4 * 2.0 * half_width * (b.atan() + b / (1.0 + b * b));
+    let turn = DQuat::from_rotation_z(0.4) * DQuat::from_rotation_x(0.4);
+    let patch = rectangle(DVec3::ZERO, turn * DVec3::Z * 1e-3, turn * DVec3::X * 1e-3, 0.5, 0.0);
+    let lines: Vec<f64> = (0..=32).map(|i| f64::from(i) / 32.0).collect();
+    let strip = grid(turn * DVec3::Y, turn * DVec3::X * half_width, turn * DVec3::Z * b, &lines);
+    let camera = look(turn * DVec3::new(2e-4, 1e-3, 1e-4), DVec3::ZERO, 10.0, 24, 24);
+    let scene = Scene::new(camera, vec![patch, mesh_of(strip, 0.0, 3e4)]);
+    for sampler in [Sampler::Pcg, Sampler::Sobol] {
+        let values = surface(&render(&gpu, &scene, &settings(256, 1, (Estimator::Nee, sampler))), "R");
+        let (mean, error) = mean_error(&values);
+        assert!(error < 2e-3 * expected);
+        let allowed = SIGMAS * error + 5e-4 * expected;
+        assert!((mean - expected).abs() < allowed, "{sampler:?}: {mean} +- {error}, expected {expected}");
+    }
+}
+
 /// Meshes, rectangles and spheres that emit, side by side: light sampling shows what chance shows.
 #[test]
 fn mesh_lights_beside_others() {

@@ -7,7 +7,9 @@ use limpid::gpu::Gpu;
 use limpid::image::Image;
 use limpid::metrics::different_values;
 use limpid::render::{Estimator, Features, Renderer, Sampler, Settings, Skip};
-use limpid::scene::{Bsdf, DeltaKind, DeltaLight, Environment, Scene, rooms};
+use limpid::scene::tessellate::grid;
+use limpid::scene::{Bsdf, DeltaKind, DeltaLight, Environment, Scene, Shape, rooms};
+use limpid::stress::support::mesh_of;
 use render_support::*;
 
 const COLOURS: [&str; 3] = ["R", "G", "B"];
@@ -159,6 +161,26 @@ fn a_scene_keeps_what_it_needs() {
     }
     scene.shapes[0].two_sided = true;
     assert!(!skips(&scene, &settings).contains(&Skip::Materials));
+    let mut scene = cornell(8);
+    scene.shapes[1].bsdf = metal(None);
+    assert!(!skips(&scene, &settings).contains(&Skip::LastRays));
+    let panel = |radiance| rectangle(DVec3::Y * 0.9, DVec3::X * 0.2, DVec3::Z * 0.2, 0.5, radiance);
+    let mesh = |radiance| mesh_of(grid(DVec3::Y * 0.9, DVec3::X * 0.2, DVec3::Z * 0.2, &[0.0, 1.0]), 0.5, radiance);
+    for (light, dark) in [(panel(1.0), panel(0.0)), (mesh(1.0), mesh(0.0)), (cavity(3.0, 0.5, 1.0), cavity(3.0, 0.5, 0.0))] {
+        let with = |shape: &Shape| {
+            let mut scene = cornell(8);
+            scene.shapes.push(shape.clone());
+            skips(&scene, &settings)
+        };
+        assert!(!with(&light).contains(&Skip::LastRays), "{light:?}");
+        assert!(with(&dark).contains(&Skip::LastRays), "{dark:?}");
+    }
+    assert!(!skips(&Scene { shapes: vec![mesh(0.0)], ..cornell(8) }, &settings).contains(&Skip::Meshes));
+    let sky = Scene { environment: Some(Environment::Constant(DVec3::ONE)), ..cornell(8) };
+    assert!(!skips(&sky, &settings).contains(&Skip::LastRays));
+    assert!(!skips(&sky, &settings).contains(&Skip::Environment));
+    let found = Settings { estimator: Estimator::Cosine, ..settings.clone() };
+    assert!(!skips(&cornell(8), &found).contains(&Skip::LastRays));
     let checkered = (0..20).map(rooms::rooms).find(|scene| scene.shapes.iter().any(|s| s.texture.is_some()));
     assert!(!skips(&checkered.expect("a room with a checkerboard"), &settings).contains(&Skip::Checkers));
 }
