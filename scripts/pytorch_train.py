@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""Trains `base` or `kpn` with PyTorch on the pictures of scripts/training_pictures.py: the peer of `limpid train`, several times as
-fast where a driver runs shaders on the CPU. The same network and Adam; to its loss (five scales) a little relMSE is added. The file it writes is one that limpid
+"""Trains `base` or `kpn` with PyTorch on the pictures of scripts/training_pictures.py, or `seed` on a folder of `limpid dataset`: the peer of
+`limpid train`, faster where a driver runs shaders on the CPU. The same network and Adam; to its loss (five scales) a little relMSE is added. The file it writes is one that limpid
 reads and trains on (`limpid train --init`).
 
     scripts/pytorch_train.py --pool DIR --architecture kpn --init weights/base.safetensors --minutes 60 --out kpn.safetensors
+    scripts/pytorch_train.py --pool DATASET --architecture seed --init weights/seed.safetensors --minutes 60 --out seed.safetensors
 """
 import argparse
 import glob
@@ -17,6 +18,7 @@ import time
 import numpy as np
 import torch
 import torch.nn.functional as F
+from training_pictures import channels, exposure
 from safetensors.torch import load_file, save_file
 
 TRUNK = dict(enc_conv0=(9, 32), enc_conv1=(32, 32), enc_conv2=(32, 48), enc_conv3=(48, 64), enc_conv4=(64, 80), enc_conv5a=(80, 96),
@@ -25,6 +27,10 @@ TRUNK = dict(enc_conv0=(9, 32), enc_conv1=(32, 32), enc_conv2=(32, 48), enc_conv
 HEADS = {"base": dict(dec_conv0=(16, 3)),
          "kpn": dict(kernel_conv4=(96, 25), kernel_conv3=(96, 34), kernel_conv2=(64, 34), kernel_conv1=(32, 34), kernel_conv0=(16, 34))}
 
+
+SEED = dict(enc_conv1a=(6, 32), enc_conv1b=(32, 32), enc_conv2=(32, 43), enc_conv3=(43, 57), enc_conv4=(57, 76), enc_conv5=(76, 101),
+            bottleneck=(101, 101), dec_conv5a=(202, 76), dec_conv5b=(76, 76), dec_conv4a=(152, 57), dec_conv4b=(57, 57), dec_conv3a=(114, 43),
+            dec_conv3b=(43, 43), dec_conv2a=(86, 32), dec_conv2b=(32, 32), dec_conv1a=(64, 128), dec_conv1b=(128, 64), out_conv=(64, 3))
 
 DEMODULATION = 0.05  # as in src/shared_constants.rs
 
@@ -104,20 +110,26 @@ class KernelFilter(torch.autograd.Function):
         return to_logits, None, to_coarse
 
 
+def add_convolutions(network, shapes):
+    for name, (cin, cout) in shapes.items():
+        conv = torch.nn.Conv2d(cin, cout, 3, padding=1)
+        torch.nn.init.kaiming_uniform_(conv.weight, nonlinearity="relu")
+        torch.nn.init.zeros_(conv.bias)
+        if name.startswith("kernel"):
+            conv.weight.data *= 0.1  # all weights alike at first
+        setattr(network, name, conv)
+
+
 class Network(torch.nn.Module):
+    metadata = dict(inputs="radiance,albedo,normal", transfer="pu")
+
     def __init__(self, architecture):
         super().__init__()
         self.architecture = architecture
-        for name, (cin, cout) in {**TRUNK, **HEADS[architecture]}.items():
-            conv = torch.nn.Conv2d(cin, cout, 3, padding=1)
-            torch.nn.init.kaiming_uniform_(conv.weight, nonlinearity="relu")
-            torch.nn.init.zeros_(conv.bias)
-            if name.startswith("kernel"):
-                conv.weight.data *= 0.1  # all weights alike at first
-            setattr(self, name, conv)
+        add_convolutions(self, {**TRUNK, **HEADS[architecture]})
 
     def forward(self, radiance, albedo, normal):
-        """Exposed radiance to the transfer of the result."""
+        """Exposed radiance, albedo, world-space normal to the transfer of the result."""
         x = torch.cat([pu(radiance), albedo, 0.5 * normal + 0.5], 1).contiguous(memory_format=torch.channels_last)
         conv = lambda name, t: F.relu(getattr(self, name)(t))
         pooled = [conv("enc_conv1", conv("enc_conv0", x))]
@@ -141,6 +153,43 @@ class Network(torch.nn.Module):
             out = KernelFilter.apply(logits.contiguous(), levels[level], out)
         return pu(out * texture)
 
+    def loss(self, noisy, target, options):
+        """Two parts: of pictures reduced, and relMSE."""
+        result = self(noisy[:, :3], noisy[:, 3:6].clamp(0, 1), noisy[:, 6:9])
+        return loss_of(result, pu(target)), options.relative_squares * relative_squares(pu_inverse(result), target)
+
+
+class Seed(torch.nn.Module):
+    """The paper's network: radiance, screen-space normal and depth; the transfer is ln(1 + x)."""
+
+    metadata = dict(inputs="radiance,normal_screen.xy,depth", transfer="log1p")
+    architecture = "seed"
+
+    def __init__(self):
+        super().__init__()
+        add_convolutions(self, SEED)
+
+    def forward(self, x):
+        conv = lambda name, t: F.leaky_relu(getattr(self, name)(t), 0.1)
+        skips = [conv("enc_conv1b", conv("enc_conv1a", x.contiguous(memory_format=torch.channels_last)))]
+        for name in ("enc_conv2", "enc_conv3", "enc_conv4", "enc_conv5"):
+            skips.append(conv(name, F.max_pool2d(skips[-1], 2)))
+        x = conv("bottleneck", F.max_pool2d(skips[-1], 2))
+        for level in (5, 4, 3, 2, 1):
+            joined = torch.cat([F.interpolate(x, scale_factor=2), skips.pop()], 1)
+            x = conv(f"dec_conv{level}b", conv(f"dec_conv{level}a", joined))
+        return self.out_conv(x)
+
+    def loss(self, noisy, target, options):
+        """Two parts: MAE01, and a tenth of the MAE in the transfer's space, so that what is brighter than 1 counts as well. Exact pixels,
+        which inference keeps, do not."""
+        result = self(noisy[:, :6])
+        exposure, inexact = noisy[:, 6:7], noisy[:, 7:8]
+        shown = lambda exposed: (exposed / exposure).clamp(0, 1)
+        clamped = (shown(torch.expm1(result.clamp(0, 10))) - shown(target)).abs()
+        whole = (result - torch.log1p(target)).abs()
+        return (inexact * clamped).mean(), 0.1 * (inexact * whole).mean()
+
 
 def loss_of(result, target):
     error, loss = result - target, 0
@@ -155,36 +204,74 @@ def relative_squares(result, target):
     return ((result - target) ** 2 / (target**2 + 0.01)).clamp_max(50).mean()
 
 
-def crops(rng, pool, count, side):
+def load_picture(file):
+    """Of scripts/training_pictures.py: channels of two noisy versions, channels of the target."""
+    picture = np.load(file)
+    return [picture[:9], picture[9:18]], picture[18:]
+
+
+def load_scene(file):
+    """Of `limpid dataset`, by the name of its target: two noisy versions (radiance by ln(1 + exposed), screen-space normal, depth,
+    exposure, whether a pixel is inexact) and the target, not exposed."""
+    target = channels(file, ("R", "G", "B"))
+    versions = []
+    for noisy in (0, 1):
+        x = channels(file.replace(".target.", f".noisy-{noisy}."), ("R", "G", "B"), ("Nscreen.X", "Nscreen.Y", "Z"), ("albedo.R", "albedo.G", "albedo.B"))
+        gain = exposure(x[:3], 0.5)
+        depth = np.where((x[5] > 0) & (x[5] < 1e30), x[5], 0)
+        depth = np.where(depth > 0, depth / depth.max(), 1)
+        rest = np.full_like(depth, gain), x[6:].max(0) > 0
+        versions.append(np.concatenate([np.log1p(x[:3] * gain), x[3:5], depth[None], np.stack(rest)]).astype(np.float32))
+    return versions, target
+
+
+def kpn_crop(rng, noisy, target):
+    noisy = noisy.clone()
+    if rng.random() < 0.5:
+        # Axes of the world are a convention: any turned or mirrored normals belong to some picture, mirrored or not.
+        turn = torch.from_numpy(np.linalg.qr(np.random.default_rng(rng.randrange(1 << 30)).normal(size=(3, 3)))[0].astype(np.float32))
+        side = noisy.shape[1]
+        noisy[6:9] = (turn @ noisy[6:9].reshape(3, -1)).reshape(3, side, side).clamp(-1, 1)
+        if rng.random() < 0.5:
+            noisy, target = noisy.flip(2), target.flip(2)
+        if rng.random() < 0.5:
+            noisy, target = noisy.transpose(1, 2), target.transpose(1, 2)
+    if rng.random() < 0.2:
+        gain = math.exp(rng.gauss(0, 1))  # exposures are estimates
+        noisy, target = noisy.clone(), target * gain
+        noisy[:3] *= gain
+    return noisy, target
+
+
+def seed_crop(rng, noisy, target):
+    """One of eight orientations, as glsl/lib/crop.glsl has them."""
+    noisy, target = noisy.clone(), target * noisy[6, 0, 0]
+    for axis, normal in ((2, 3), (1, 4)):
+        if rng.random() < 0.5:
+            noisy, target = noisy.flip(axis), target.flip(axis)
+            noisy[normal] *= -1
+    if rng.random() < 0.5:
+        noisy, target = noisy.transpose(1, 2).clone(), target.transpose(1, 2)
+        noisy[3:5] = -noisy[3:5].flip(0)
+    return noisy, target
+
+
+def crops(rng, pool, count, side, turned):
     inputs, targets = [], []
     for _ in range(count):
-        picture = rng.choice(pool)
-        _, height, width = picture.shape
+        versions, target = rng.choice(pool)
+        _, height, width = target.shape
         y, x = rng.randrange(height - side + 1), rng.randrange(width - side + 1)
-        crop = torch.from_numpy(picture[:, y : y + side, x : x + side].astype(np.float32))
-        first = 9 * rng.randrange(2)
-        noisy, target = crop[first : first + 9].clone(), crop[18:]
-        if rng.random() < 0.5:
-            # Axes of the world are a convention: any turned or mirrored normals belong to some picture, mirrored or not.
-            turn = torch.from_numpy(np.linalg.qr(np.random.default_rng(rng.randrange(1 << 30)).normal(size=(3, 3)))[0].astype(np.float32))
-            noisy[6:9] = (turn @ noisy[6:9].reshape(3, -1)).reshape(3, side, side).clamp(-1, 1)
-            if rng.random() < 0.5:
-                noisy, target = noisy.flip(2), target.flip(2)
-            if rng.random() < 0.5:
-                noisy, target = noisy.transpose(1, 2), target.transpose(1, 2)
-        if rng.random() < 0.2:
-            gain = math.exp(rng.gauss(0, 1))  # exposures are estimates
-            noisy, target = noisy.clone(), target * gain
-            noisy[:3] *= gain
+        cut = lambda t: torch.from_numpy(t[:, y : y + side, x : x + side].astype(np.float32))
+        noisy, target = turned(rng, cut(rng.choice(versions)), cut(target))
         inputs.append(noisy)
         targets.append(target)
-    inputs = torch.stack(inputs)
-    return inputs[:, :3], inputs[:, 3:6].clamp(0, 1), inputs[:, 6:9], torch.stack(targets)
+    return torch.stack(inputs), torch.stack(targets)
 
 
 def save(network, path, steps, options):
-    metadata = dict(architecture=network.architecture, inputs="radiance,albedo,normal", transfer="pu", trainer=f"scripts/pytorch_train.py, PyTorch {torch.__version__}",
-                    command=" ".join(sys.argv), steps=str(steps), init=options.init or "")
+    metadata = dict(architecture=network.architecture, **network.metadata, trainer=f"scripts/pytorch_train.py, PyTorch {torch.__version__}",
+                    command=" ".join(os.path.basename(word) for word in sys.argv), steps=str(steps))
     tensors = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
     save_file(tensors, path + ".part", metadata)
     os.rename(path + ".part", path)
@@ -193,19 +280,21 @@ def save(network, path, steps, options):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pool", required=True)
-    parser.add_argument("--architecture", choices=HEADS, default="kpn")
+    parser.add_argument("--architecture", choices=[*HEADS, "seed"], default="kpn")
     parser.add_argument("--init", help="weights to go on from; tensors that are not in it begin at random")
     parser.add_argument("--out", required=True)
     parser.add_argument("--minutes", type=float, required=True, help="by the clock")
     parser.add_argument("--learning-rate", type=float, default=1e-3)
-    parser.add_argument("--relative-squares", type=float, default=0.1, help="share of relMSE in the loss")
+    parser.add_argument("--relative-squares", type=float, default=0.1, help="share of relMSE in the loss of `base` and `kpn`")
+    parser.add_argument("--batch", type=int, default=8, help="crops of 128x128 a step; a quarter of the steps has a quarter as many of 256x256")
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     rng = random.Random(options.seed)
-    network = Network(options.architecture)
+    network = Seed() if options.architecture == "seed" else Network(options.architecture)
+    pattern, load, turned = ("*.target.exr", load_scene, seed_crop) if options.architecture == "seed" else ("?????.npy", load_picture, kpn_crop)
     if options.init:
         known = {name: t for name, t in load_file(options.init).items() if name in network.state_dict()}
         network.load_state_dict(known, strict=False)
@@ -216,24 +305,22 @@ def main():
     pool, loaded, begin, steps, losses = [], set(), time.time(), 0, []
     while (progress := (time.time() - begin) / (60 * options.minutes)) < 1:
         if steps % 100 == 0:  # the pool may grow meanwhile
-            files = sorted(glob.glob(os.path.join(options.pool, "?????.npy")))
+            files = sorted(glob.glob(os.path.join(options.pool, pattern)))
             new = [file for file in files if file not in loaded]
             loaded.update(new)
-            pool += [np.load(file) for file in new]
+            pool += [load(file) for file in new]
         rate = min((steps + 1) / 50, 1) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
         for group in optimiser.param_groups:
             group["lr"] = options.learning_rate * rate
-        radiance, albedo, normal, target = crops(rng, pool, *((2, 256) if rng.random() < 0.25 else (8, 128)))
-        result = network(radiance, albedo, normal)
-        squares = relative_squares(pu_inverse(result), target)
-        loss = loss_of(result, pu(target))
+        noisy, target = crops(rng, pool, *((options.batch // 4, 256) if rng.random() < 0.25 else (options.batch, 128)), turned)
+        loss, more = network.loss(noisy, target, options)
         optimiser.zero_grad()
-        (loss + options.relative_squares * squares).backward()
+        (loss + more).backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 0.1)
         optimiser.step()
         steps += 1
         average.update_parameters(network)
-        losses.append((loss.item(), squares.item()))
+        losses.append((loss.item(), more.item()))
         if steps % 100 == 0:
             print(json.dumps(dict(step=steps, loss=[round(float(x), 5) for x in np.mean(losses[-100:], 0)], seconds=round(time.time() - begin), pictures=len(pool))), flush=True)
         if steps % 300 == 0:

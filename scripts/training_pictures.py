@@ -93,13 +93,13 @@ def channels(path, *groups):
     return np.stack([np.asarray(found[name].pixels, dtype=np.float32) for group in groups for name in group])
 
 
-def exposure(radiance):
-    """What limpid's transfer `pu` multiplies radiance with (glsl/net/frame_bins.comp)."""
+def exposure(radiance, key=0.18):
+    """What limpid's transfer `pu` multiplies radiance with (glsl/net/frame_bins.comp); `log1p` with a key of 0.5."""
     luminance = np.tensordot(np.array([0.212671, 0.715160, 0.072169], np.float32), np.maximum(radiance, 0), 1)
     height, width = luminance.shape
     bins = luminance[: height // 16 * 16, : width // 16 * 16].reshape(height // 16, 16, width // 16, 16).mean((1, 3))
     bins = bins[bins > 1e-8]
-    return np.float32(0.18 / 2 ** np.log2(bins).mean()) if bins.size else np.float32(1)
+    return np.float32(key / 2 ** np.log2(bins).mean()) if bins.size else np.float32(1)
 
 
 def make(limpid, index, out, folder):

@@ -19,9 +19,10 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Convert weights of `base` to or from Open Image Denoise's TZA format
+    /// Convert weights of `base` to or from Open Image Denoise's TZA format, or write any as limpid does
     ///
-    /// The files' endings, .tza and .safetensors, give the direction. TZA has no metadata: its weights are taken to be for HDR
+    /// The files' endings, .tza and .safetensors, give the direction. Of .safetensors to .safetensors the tensors come in the network's
+    /// order, so that equal weights and metadata are equal files, whatever program wrote them. TZA has no metadata: its weights are taken to be for HDR
     /// radiance with albedo and normals (inputs `radiance,albedo,normal`, transfer `pu`), and only such weights become TZA.
     Convert {
         /// File to read
@@ -82,9 +83,9 @@ pub fn run(args: &Args) -> Result<u8> {
 
 fn convert(input: &Path, output: &Path, precision: PrecisionName) -> Result<()> {
     let (from, to) = (Format::of(input)?, Format::of(output)?);
-    if from == to {
+    if from == to && to == Format::Tza {
         return Err(Error::input(format!(
-            "{} to {}: one must end in .tza and the other in .safetensors",
+            "{} to {}: one must end in .safetensors",
             input.display(),
             output.display()
         )));

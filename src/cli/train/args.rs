@@ -26,7 +26,7 @@ pub struct Args {
     /// Where the examples come from: fresh scenes, or a data set as in the paper
     #[arg(long, value_name = "fresh|paper", default_value_t = Preset::Fresh)]
     pub preset: Preset,
-    /// Network architecture: `seed`, `base`, or `base:W,...` with 11 widths
+    /// Network architecture: `seed`, `base`, `base:W,...` with 11 widths, or `kpn`
     #[arg(long, visible_alias = "arch", default_value = "seed")]
     pub architecture: String,
     /// Steps to take
