@@ -43,7 +43,9 @@ fn conversion_to_safetensors_is_canonical() {
     let begin = 8 + u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
     let mut header: serde_json::Map<_, _> = serde_json::from_slice(&bytes[8..begin]).unwrap();
     let mut data = Vec::new();
-    for (_, tensor) in header.iter_mut().filter(|(name, _)| *name != "__metadata__").collect::<Vec<_>>().into_iter().rev() {
+    for (_, tensor) in
+        header.iter_mut().filter(|(name, _)| *name != "__metadata__").collect::<Vec<_>>().into_iter().rev()
+    {
         let [from, to] = [0, 1].map(|i| begin + tensor["data_offsets"][i].as_u64().unwrap() as usize);
         tensor["data_offsets"] = serde_json::json!([data.len(), data.len() + to - from]);
         data.extend_from_slice(&bytes[from..to]);

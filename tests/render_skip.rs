@@ -166,7 +166,9 @@ fn a_scene_keeps_what_it_needs() {
     assert!(!skips(&scene, &settings).contains(&Skip::LastRays));
     let panel = |radiance| rectangle(DVec3::Y * 0.9, DVec3::X * 0.2, DVec3::Z * 0.2, 0.5, radiance);
     let mesh = |radiance| mesh_of(grid(DVec3::Y * 0.9, DVec3::X * 0.2, DVec3::Z * 0.2, &[0.0, 1.0]), 0.5, radiance);
-    for (light, dark) in [(panel(1.0), panel(0.0)), (mesh(1.0), mesh(0.0)), (cavity(3.0, 0.5, 1.0), cavity(3.0, 0.5, 0.0))] {
+    for (light, dark) in
+        [(panel(1.0), panel(0.0)), (mesh(1.0), mesh(0.0)), (cavity(3.0, 0.5, 1.0), cavity(3.0, 0.5, 0.0))]
+    {
         let with = |shape: &Shape| {
             let mut scene = cornell(8);
             scene.shapes.push(shape.clone());

@@ -84,11 +84,7 @@ pub fn run(args: &Args) -> Result<u8> {
 fn convert(input: &Path, output: &Path, precision: PrecisionName) -> Result<()> {
     let (from, to) = (Format::of(input)?, Format::of(output)?);
     if from == to && to == Format::Tza {
-        return Err(Error::input(format!(
-            "{} to {}: one must end in .safetensors",
-            input.display(),
-            output.display()
-        )));
+        return Err(Error::input(format!("{} to {}: one must end in .safetensors", input.display(), output.display())));
     }
     let weights = load(input)?;
     writable(output)?;
