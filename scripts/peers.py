@@ -43,45 +43,17 @@ def agreement(output, expected):
     return float(np.linalg.norm(output - expected) / np.linalg.norm(expected))
 
 
-def torch_network(weights):
-    import torch
-    import torch.nn.functional as F
-
-    class Seed(torch.nn.Module):
-        def __init__(self):
-            super().__init__()
-            for name in {key.rsplit(".", 1)[0] for key in weights}:
-                w = weights[f"{name}.weight"]
-                conv = torch.nn.Conv2d(w.shape[1], w.shape[0], 3, padding=1)
-                conv.weight.data, conv.bias.data = w.clone(), weights[f"{name}.bias"].clone()
-                self.add_module(name, conv)
-
-        def conv(self, name, x):
-            return F.leaky_relu(getattr(self, name)(x), 0.1)
-
-        def forward(self, x):
-            x = self.conv("enc_conv1b", self.conv("enc_conv1a", x))
-            skips = [x]
-            for name in ENCODER:
-                x = self.conv(name, F.max_pool2d(x, 2))
-                skips.append(x)
-            x = self.conv("bottleneck", F.max_pool2d(x, 2))
-            for level in (5, 4, 3, 2, 1):
-                x = torch.cat([F.interpolate(x, scale_factor=2, mode="nearest"), skips.pop()], 1)
-                x = self.conv(f"dec_conv{level}b", self.conv(f"dec_conv{level}a", x))
-            return self.out_conv(x)
-
-    return Seed()
-
-
 def torch_worker(args):
     import torch
+    from pytorch_train import Seed
     from safetensors.torch import load_file
 
     torch.set_num_threads(args.threads)
     values, weights = load_file(args.values), load_file(args.weights)
     layout = torch.channels_last if args.layout == "channels_last" else torch.contiguous_format
-    net = torch_network(weights).to(memory_format=layout)
+    net = Seed()
+    net.load_state_dict(weights)
+    net = net.to(memory_format=layout)
     if args.task == "net":
         x = values["input"].to(memory_format=layout)
         with torch.inference_mode():

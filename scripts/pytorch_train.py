@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Trains `base` or `kpn` with PyTorch on the pictures of scripts/training_pictures.py, or `seed` on a folder of `limpid dataset`: the peer of
-`limpid train`, faster where a driver runs shaders on the CPU. The same network and Adam; to its loss (five scales) a little relMSE is added. The file it writes is one that limpid
-reads and trains on (`limpid train --init`).
+`limpid train`, faster where a driver runs shaders on the CPU. The same networks and Adam. The loss of `base` and `kpn` is limpid's (five scales)
+and a little relMSE; that of `seed` is MAE01 and a little of limpid's MAE. The file is one that limpid reads and trains on (`limpid train --init`).
 
     scripts/pytorch_train.py --pool DIR --architecture kpn --init weights/base.safetensors --minutes 60 --out kpn.safetensors
     scripts/pytorch_train.py --pool DATASET --architecture seed --init weights/seed.safetensors --minutes 60 --out seed.safetensors
@@ -18,7 +18,6 @@ import time
 import numpy as np
 import torch
 import torch.nn.functional as F
-from training_pictures import channels, exposure
 from safetensors.torch import load_file, save_file
 
 TRUNK = dict(enc_conv0=(9, 32), enc_conv1=(32, 32), enc_conv2=(32, 48), enc_conv3=(48, 64), enc_conv4=(64, 80), enc_conv5a=(80, 96),
@@ -26,8 +25,6 @@ TRUNK = dict(enc_conv0=(9, 32), enc_conv1=(32, 32), enc_conv2=(32, 48), enc_conv
              dec_conv2a=(96, 48), dec_conv2b=(48, 32), dec_conv1a=(41, 32), dec_conv1b=(32, 16))
 HEADS = {"base": dict(dec_conv0=(16, 3)),
          "kpn": dict(kernel_conv4=(96, 25), kernel_conv3=(96, 34), kernel_conv2=(64, 34), kernel_conv1=(32, 34), kernel_conv0=(16, 34))}
-
-
 SEED = dict(enc_conv1a=(6, 32), enc_conv1b=(32, 32), enc_conv2=(32, 43), enc_conv3=(43, 57), enc_conv4=(57, 76), enc_conv5=(76, 101),
             bottleneck=(101, 101), dec_conv5a=(202, 76), dec_conv5b=(76, 76), dec_conv4a=(152, 57), dec_conv4b=(57, 57), dec_conv3a=(114, 43),
             dec_conv3b=(43, 43), dec_conv2a=(86, 32), dec_conv2b=(32, 32), dec_conv1a=(64, 128), dec_conv1b=(128, 64), out_conv=(64, 3))
@@ -171,7 +168,7 @@ class Seed(torch.nn.Module):
 
     def forward(self, x):
         conv = lambda name, t: F.leaky_relu(getattr(self, name)(t), 0.1)
-        skips = [conv("enc_conv1b", conv("enc_conv1a", x.contiguous(memory_format=torch.channels_last)))]
+        skips = [conv("enc_conv1b", conv("enc_conv1a", x))]
         for name in ("enc_conv2", "enc_conv3", "enc_conv4", "enc_conv5"):
             skips.append(conv(name, F.max_pool2d(skips[-1], 2)))
         x = conv("bottleneck", F.max_pool2d(skips[-1], 2))
@@ -183,7 +180,7 @@ class Seed(torch.nn.Module):
     def loss(self, noisy, target, options):
         """Two parts: MAE01, and a tenth of the MAE in the transfer's space, so that what is brighter than 1 counts as well. Exact pixels,
         which inference keeps, do not."""
-        result = self(noisy[:, :6])
+        result = self(noisy[:, :6].contiguous(memory_format=torch.channels_last))
         exposure, inexact = noisy[:, 6:7], noisy[:, 7:8]
         shown = lambda exposed: (exposed / exposure).clamp(0, 1)
         clamped = (shown(torch.expm1(result.clamp(0, 10))) - shown(target)).abs()
@@ -213,6 +210,8 @@ def load_picture(file):
 def load_scene(file):
     """Of `limpid dataset`, by the name of its target: two noisy versions (radiance by ln(1 + exposed), screen-space normal, depth,
     exposure, whether a pixel is inexact) and the target, not exposed."""
+    from training_pictures import channels, exposure
+
     target = channels(file, ("R", "G", "B"))
     versions = []
     for noisy in (0, 1):
@@ -225,7 +224,7 @@ def load_scene(file):
     return versions, target
 
 
-def kpn_crop(rng, noisy, target):
+def picture_crop(rng, noisy, target):
     noisy = noisy.clone()
     if rng.random() < 0.5:
         # Axes of the world are a convention: any turned or mirrored normals belong to some picture, mirrored or not.
@@ -243,7 +242,7 @@ def kpn_crop(rng, noisy, target):
     return noisy, target
 
 
-def seed_crop(rng, noisy, target):
+def scene_crop(rng, noisy, target):
     """One of eight orientations, as glsl/lib/crop.glsl has them."""
     noisy, target = noisy.clone(), target * noisy[6, 0, 0]
     for axis, normal in ((2, 3), (1, 4)):
@@ -293,8 +292,10 @@ def main():
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     rng = random.Random(options.seed)
-    network = Seed() if options.architecture == "seed" else Network(options.architecture)
-    pattern, load, turned = ("*.target.exr", load_scene, seed_crop) if options.architecture == "seed" else ("?????.npy", load_picture, kpn_crop)
+    if options.architecture == "seed":
+        network, pattern, load, turned = Seed(), "*.target.exr", load_scene, scene_crop
+    else:
+        network, pattern, load, turned = Network(options.architecture), "?????.npy", load_picture, picture_crop
     if options.init:
         known = {name: t for name, t in load_file(options.init).items() if name in network.state_dict()}
         network.load_state_dict(known, strict=False)

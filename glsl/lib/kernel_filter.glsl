@@ -1,11 +1,10 @@
 // What the filter of a kernel-predicting network reads: logits [n][h][c4][w], noisy pixels [n][h][w] and, where COARSE, the next coarser
 // level [n][h/2][w/2]; w of a pixel is not 0 inside the picture. The shader declares these buffers, COARSE, `height` and `width`.
-const uint FINE_TAPS = 25;
-const uint TAPS = COARSE ? 34 : 25;
+#include "lib/kernel_taps.glsl"
+
+const uint TAPS = COARSE ? ALL_TAPS : FINE_TAPS;
 const uint LOGIT_TEXELS = (TAPS + 3) / 4;
 const float NO_LOGIT = -3.402823e38;
-
-#include "lib/spline.glsl"
 
 // Tap `j` of the pixel at `p` of image `n`; w, what exp(logit) is multiplied with, is 0 where there is none.
 vec4 tap_of(uint n, ivec2 p, uint j) {

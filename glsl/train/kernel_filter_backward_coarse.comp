@@ -2,7 +2,7 @@
 // Gradient of kernel_filter.comp with respect to the coarser level: of each of its pixels, the sum of weight * dy over the 6x6 pixels that read it.
 #extension GL_GOOGLE_include_directive : require
 #include "lib/index.glsl"
-#include "lib/spline.glsl"
+#include "lib/kernel_taps.glsl"
 
 layout(local_size_x = 64) in;
 
@@ -18,8 +18,7 @@ layout(push_constant) uniform Push {
     uint width;
 };
 
-const uint FINE_TAPS = 25;
-const uint LOGIT_TEXELS = 9;
+const uint LOGIT_TEXELS = (ALL_TAPS + 3) / 4;
 
 void main() {
     const uint index = flat_index();

@@ -58,7 +58,7 @@ pub struct Args {
     /// Give every sample its own camera ray; otherwise all share the ray through the pixel's centre
     #[arg(long)]
     aa: bool,
-    /// Weights that reconstruct: `seed` or `base`, or a safetensors file [default: kpn]
+    /// Weights that reconstruct: `kpn`, `seed` or `base`, or a safetensors file [default: kpn]
     #[arg(long, value_name = "NAME|FILE")]
     weights: Option<PathBuf>,
     /// Reconstruct nothing

@@ -1,3 +1,7 @@
+// The taps of a kernel-predicting network's filter: 5x5 noisy pixels, then, but at the coarsest level, 3x3 of the next coarser one.
+const uint FINE_TAPS = 25;
+const uint ALL_TAPS = 34;
+
 // Quadratic B-spline, in two dimensions, of the way from pixel `p` to its coarser pixel and `step` (-1 to 1) of them on: a pixel's middle is
 // a quarter of the coarser pixel away from that one's. Without it a network, which does not see whether a pixel is even, makes steps of 2x2.
 float spline(ivec2 p, ivec2 step) {
