@@ -9,7 +9,8 @@ limpid renders a noisy frame (radiance, albedo, world normals) and reconstructs 
 filters the same channels (hdr, CPU device) with the same weights. `limpid weights convert` makes them a TZA file, in fp16 as Open
 Image Denoise 2 wants it, and back, so that both have the rounded ones. Without --weights they are random: the picture is then no
 good one, but as valid. With --filter it is Open Image Denoise alone, with its own weights at its highest quality:
-R, G, B of OUT.exr are the radiance of IN.exr filtered, but where the albedo is 0 (lights, nothing) as it was.
+R, G, B of OUT.exr are the radiance of IN.exr filtered, but as it was in pixels that limpid keeps: albedo 0 (lights, nothing), and
+not black next to another unless IN.exr says that all rays of a pixel are one.
 
 Prints the mean of |a - b| / (|a| + |b| + 0.01), the measure of Open
 Image Denoise's own tests, over the pixels that limpid reconstructs (it keeps the others, whose radiance is exact), and fails above
@@ -69,7 +70,12 @@ def random_weights(path, seed=1):
 
 
 def read_exr(path, names):
-    """Channels of an uncompressed or ZIP scanline EXR with 32-bit floats, as limpid writes them: (height, width, names)."""
+    """The same without the attributes."""
+    return read_exr_and_attributes(path, names)[0]
+
+
+def read_exr_and_attributes(path, names):
+    """Channels of an uncompressed or ZIP scanline EXR with 32-bit floats, as limpid writes them: (height, width, names); its attributes."""
     import struct
     import zlib
 
@@ -102,7 +108,7 @@ def read_exr(path, names):
             block = plain.tobytes()
         rows.extend(np.frombuffer(block, "<f4").reshape(count, len(channels), width))
     image = np.stack(rows)
-    return np.ascontiguousarray(np.stack([image[:, channels.index(name)] for name in names], axis=-1))
+    return np.ascontiguousarray(np.stack([image[:, channels.index(name)] for name in names], axis=-1)), attributes
 
 
 def write_exr(path, pixels):
@@ -131,10 +137,22 @@ def write_exr(path, pixels):
     Path(path).write_bytes(header + offsets + rows)
 
 
+def exact_pixels(source):
+    """As src/denoise/exact.rs has them."""
+    channels, attributes = read_exr_and_attributes(source, ["R", "G", "B", *IMAGES["albedo"]])
+    own = channels[..., 3:].sum(axis=-1) == 0
+    if attributes.get("aa") == b"false":
+        return own
+    height, width = own.shape
+    padded = np.pad(own, 1, constant_values=True)
+    around = np.all([padded[y : y + height, x : x + width] for y in range(3) for x in range(3)], axis=0)
+    return own & (around | (channels[..., :3].max(axis=-1) > 0))
+
+
 def filter_file(source, target):
     """Open Image Denoise by itself."""
     images = {name: read_exr(source, names) for name, names in {**IMAGES, "color": ["R", "G", "B"]}.items()}
-    result, exact = filtered(images), images["albedo"].sum(axis=-1) == 0
+    result, exact = filtered(images), exact_pixels(source)
     result[exact] = images["color"][exact]
     write_exr(target, result)
 

@@ -210,7 +210,7 @@ def load_picture(file):
 def load_scene(file):
     """Of `limpid dataset`, by the name of its target: two noisy versions (radiance by ln(1 + exposed), screen-space normal, depth,
     exposure, whether a pixel is inexact) and the target, not exposed."""
-    from training_pictures import channels, exposure
+    from training_pictures import attribute, channels, exposure
 
     target = channels(file, ("R", "G", "B"))
     versions = []
@@ -219,7 +219,11 @@ def load_scene(file):
         gain = exposure(x[:3], 0.5)
         depth = np.where((x[5] > 0) & (x[5] < 1e30), x[5], 0)
         depth = np.where(depth > 0, depth / depth.max(), 1)
-        rest = np.full_like(depth, gain), x[6:].max(0) > 0
+        inexact = x[6:].max(0) > 0
+        if attribute(file, "aa") == "true":  # black pixels' samples may have missed what neighbours see
+            around = F.max_pool2d(torch.from_numpy(inexact[None].astype(np.float32)), 3, 1, 1)[0].numpy() > 0
+            inexact |= around & (x[:3].max(0) == 0)
+        rest = np.full_like(depth, gain), inexact
         versions.append(np.concatenate([np.log1p(x[:3] * gain), x[3:5], depth[None], np.stack(rest)]).astype(np.float32))
     return versions, target
 

@@ -93,6 +93,10 @@ def channels(path, *groups):
     return np.stack([np.asarray(found[name].pixels, dtype=np.float32) for group in groups for name in group])
 
 
+def attribute(path, name):
+    return OpenEXR.File(path, header_only=True).header().get(name)
+
+
 def exposure(radiance, key=0.18):
     """What limpid's transfer `pu` multiplies radiance with (glsl/net/frame_bins.comp); `log1p` with a key of 0.5."""
     luminance = np.tensordot(np.array([0.212671, 0.715160, 0.072169], np.float32), np.maximum(radiance, 0), 1)

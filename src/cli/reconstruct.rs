@@ -3,10 +3,11 @@
 use super::device::KernelArgs;
 use super::tile::Cut;
 use limpid::denoise::{
-    Choice, Denoiser, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, embedded_weights, weights_of,
+    Choice, Denoiser, Guides, Inputs, Kernels, Plane, Preparation, Task, TiledDenoiser, embedded_weights, exact_pixels,
+    weights_of,
 };
 use limpid::gpu::{Gpu, Slice, Timings};
-use limpid::image::{Image, Rgb};
+use limpid::image::Image;
 use limpid::kernels;
 use limpid::kernels::check::Purpose;
 use limpid::net::plan::Plan;
@@ -141,9 +142,9 @@ impl Reconstruction {
         image.move_rgb("", "noisy")?;
         image.attributes.insert("weights".into(), self.sha256.clone());
         let unlit = image.attributes.get("bounces").is_some_and(|bounces| bounces == "0");
-        let (albedo, noisy) = (image.rgb("albedo")?, image.rgb("noisy")?);
+        let (exact, noisy) = (exact_pixels(image, "noisy")?, image.rgb("noisy")?);
         let usable = |i: usize| noisy.iter().all(|plane| plane[i].is_finite() && plane[i] >= 0.0);
-        let exact = |i: usize| usable(i) && (unlit || is_exact(&albedo, i));
+        let exact = |i: usize| usable(i) && (unlit || exact[i]);
         if (0..image.pixel_count()).all(exact) {
             let noisy = noisy.map(<[f32]>::to_vec);
             image.set_rgb("", noisy);
@@ -213,11 +214,6 @@ fn planes<'a>(image: &'a Image, inputs: Inputs, exact: &'a dyn Fn(usize) -> bool
         planes.push(Box::new(move |i| [x[i], y[i], z[i], 0.0]));
     }
     Ok(planes)
-}
-
-/// Whether a pixel's radiance is exact: its first hit reflects nothing.
-fn is_exact(albedo: &Rgb, i: usize) -> bool {
-    albedo.iter().all(|plane| plane[i] == 0.0)
 }
 
 /// For people: what was repaired.

@@ -1,6 +1,7 @@
 //! Reconstruction: frame -> network input -> network -> frame, all on the device, as a whole or in tiles.
 
 mod budget;
+mod exact;
 mod frame;
 mod network;
 mod preparation;
@@ -8,6 +9,7 @@ mod tiled;
 mod tiles;
 
 pub use budget::{Choice, Demand, Overlapping, Task, check_core};
+pub use exact::exact_pixels;
 pub use frame::{
     AlbedoNormalPush, Axes, BIN, BinsPush, Crop, Frame, FrameStats, Guides, InputPush, JoinPush, record_input,
 };

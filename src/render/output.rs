@@ -9,7 +9,8 @@ use crate::{Error, Result};
 /// [`Renderer::outputs`] brings their content up to date.
 #[derive(Clone)]
 pub struct Outputs {
-    /// r, g, b of the mean radiance; 1 where the pixel is exact (its first hit reflects nothing, on every sample), else 0.
+    /// r, g, b of the mean radiance; 1 where the pixel is exact: its first hit reflects nothing, on every sample. Else 0, but
+    /// 1/2 where that is so and with `aa` a black pixel is next to one that is not exact.
     pub radiance: Slice,
     /// r, g, b of the first hit's reflectance, 0 at a miss; unused.
     pub albedo: Slice,

@@ -19,7 +19,7 @@ crate::push_block! {
 crate::push_block! {
     /// Push constants of `resolve`.
     pub struct ResolvePush for crate::shaders::resolve {
-        pixel_begin: u32, pixel_end: u32, sample_count: u32, batch_count: u32
+        pixel_begin: u32, pixel_end: u32, sample_count: u32, batch_count: u32, width: u32, halo: u32, counts_rows: u32
     }
 }
 
@@ -335,6 +335,7 @@ impl Renderer {
         for window in (0..self.state.height).step_by(self.state.window_rows as usize) {
             let last = (window + self.state.window_rows).min(self.state.height);
             let bind = self.state.resolve_bind(window);
+            let halo = self.state.halo(window);
             let cut = row.clamp(window, last);
             for (rows, sample_count) in [(window..cut, end), (cut..last, begin)] {
                 if rows.is_empty() {
@@ -346,6 +347,9 @@ impl Renderer {
                     pixel_end: (rows.end - window) * self.state.width,
                     sample_count,
                     batch_count,
+                    width: self.state.width,
+                    halo: (window - halo.start) * self.state.width,
+                    counts_rows: halo.end - halo.start,
                 };
                 let groups = (push.pixel_end - push.pixel_begin).div_ceil(256);
                 rec.dispatch(&self.resolve, &bind, &push, [groups, 1, 1]);
@@ -427,6 +431,11 @@ mod tests {
             cut.finish().expect("render");
             assert!(cut.stats.dispatches >= 4);
             assert_eq!(whole.image().expect("image"), cut.image().expect("image"));
+            // With which pixels are exact.
+            let [whole, cut] = [&mut whole, &mut cut].map(|renderer| renderer.radiance().expect("radiance"));
+            let pixels = |slice| gpu.download::<[f32; 4]>(slice).expect("download");
+            assert_eq!(pixels(&whole), pixels(&cut));
+            assert_eq!(pixels(&whole).iter().any(|pixel| pixel[3] == 0.5), aa);
         }
         assert_eq!(gpu.drain_validation(), Vec::<String>::new());
     }

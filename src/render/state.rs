@@ -3,9 +3,12 @@
 use super::features::Features;
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
 use crate::{Result, shaders};
+use std::ops::Range;
 
 /// Rows come in multiples of this where buffers are cut into windows: 16 rows of 16-byte pixels are a multiple of 256 bytes.
 const WINDOW_ALIGNMENT: u32 = 16;
+/// What [`State::halo`] adds to a window at most, in such multiples.
+const HALOS: u32 = 2;
 const VEC4_BYTES: u64 = 16;
 
 /// What the path tracer adds up, a vec4 (or 3, for batches) a pixel, row by row from the top.
@@ -39,7 +42,8 @@ impl State {
         let planes = |[a, b, c]: [&str; 3]| -> Result<[Buffer; 3]> { Ok([plane(a)?, plane(b)?, plane(c)?]) };
         let per_pixel = if features.variance { 3 * VEC4_BYTES } else { VEC4_BYTES };
         let fit = (gpu.info().max_storage_range / (u64::from(width) * per_pixel)).min(u64::from(u32::MAX)) as u32;
-        let window_rows = (fit / WINDOW_ALIGNMENT * WINDOW_ALIGNMENT).max(WINDOW_ALIGNMENT);
+        let rows = (fit / WINDOW_ALIGNMENT).saturating_sub(HALOS) * WINDOW_ALIGNMENT;
+        let window_rows = rows.max(WINDOW_ALIGNMENT);
         Ok(Self {
             width,
             height,
@@ -103,15 +107,21 @@ impl State {
         }
     }
 
+    /// The rows of the window from row `first` and of the pixels next to it.
+    pub(super) fn halo(&self, first: u32) -> Range<u32> {
+        first.saturating_sub(WINDOW_ALIGNMENT)..(first + self.window_rows + 1).min(self.height)
+    }
+
     pub(super) fn resolve_bind(&self, first: u32) -> shaders::resolve::Bind {
         let window = |buffer: &Buffer| self.window(buffer, first, VEC4_BYTES);
+        let (halo, row) = (self.halo(first), u64::from(self.width) * VEC4_BYTES);
         let aa = self.resolved.is_some();
         let sum = |i: usize| if aa { self.aov_window(i, first) } else { self.dummy.all() };
         let mean = |i: usize| self.window_or_dummy(self.resolved.as_ref().map(|r| &r[i]), first, VEC4_BYTES);
         shaders::resolve::Bind {
             total: window(&self.total),
             block: window(&self.block),
-            counts: window(&self.counts),
+            counts: self.counts.slice(u64::from(halo.start) * row, u64::from(halo.end - halo.start) * row),
             albedo_sum: sum(0),
             normal_sum: sum(1),
             screen_sum: sum(2),

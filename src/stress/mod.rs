@@ -24,6 +24,7 @@ pub use welch::estimators_agree;
 
 use crate::Result;
 use crate::gpu::Gpu;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// One case.
 #[derive(Clone, Copy, Debug)]
@@ -38,10 +39,21 @@ pub struct Case {
 }
 
 impl Case {
-    /// Runs it. An error of the renderer or the device is a failure.
+    /// Runs it. An error of the renderer or the device is a failure, and so is a panic: what a driver gets wrong may break
+    /// what the case takes for granted, and the other cases shall still run.
     #[must_use]
     pub fn run(&self, gpu: &Gpu) -> Outcome {
-        (self.run)(gpu).unwrap_or_else(|error| Outcome::failed(error.to_string()))
+        outcome_of(|| (self.run)(gpu))
+    }
+}
+
+fn outcome_of(run: impl FnOnce() -> Result<Outcome>) -> Outcome {
+    match catch_unwind(AssertUnwindSafe(run)) {
+        Ok(outcome) => outcome.unwrap_or_else(|error| Outcome::failed(error.to_string())),
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+            Outcome::failed(format!("panicked: {}", text.unwrap_or("no message")))
+        }
     }
 }
 
@@ -67,4 +79,21 @@ pub fn cases() -> Vec<Case> {
         (kind == "N", number.parse::<u32>().unwrap_or(u32::MAX))
     });
     cases
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_and_panics_are_failures() {
+        let end = std::hint::black_box(3);
+        for (outcome, cause) in [
+            (outcome_of(|| Err(crate::Error::input("bad"))), "bad"),
+            (outcome_of(|| panic!("worse")), "panicked: worse"),
+            (outcome_of(|| panic!("at {end}")), "panicked: at 3"),
+        ] {
+            assert_eq!((outcome.verdict(), outcome.lines()), ("FAILED", vec![cause.to_owned()]));
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use super::write::set;
 use super::{DatasetSettings, Manifest, Part};
-use crate::denoise::{FrameStats, Guides, Inputs, Preparation};
+use crate::denoise::{FrameStats, Guides, Inputs, Preparation, exact_pixels};
 use crate::gpu::{Buffer, Gpu, Slice};
 use crate::image::{Image, exr};
 use crate::render::Renderer;
@@ -179,12 +179,11 @@ fn picture(scene: u64, inputs: Inputs, noisy: &[Image], target: &Image) -> Resul
         Ok(x.iter().zip(y).zip(z).map(|((x, y), z)| [*x, *y, *z]).collect())
     };
     let rgb = |image: &Image| channels(image, ["R", "G", "B"]);
-    let albedo = channels(guides_of, ["albedo.R", "albedo.G", "albedo.B"])?;
     let versions = noisy.iter().map(|image| Ok(Noisy { radiance: rgb(image)?, stats: [0.0; 4] }));
     Ok(Picture {
         scene,
         guides: inputs.planes()[1..].iter().map(|(_, names)| channels(guides_of, *names)).collect::<Result<_>>()?,
-        exact: albedo.iter().map(|albedo| *albedo == [0.0; 3]).collect(),
+        exact: exact_pixels(guides_of, "")?,
         target: rgb(target)?,
         noisy: versions.collect::<Result<_>>()?,
     })
