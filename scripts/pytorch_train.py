@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Trains `base` or `kpn` with PyTorch on the pictures of scripts/training_pictures.py, or `seed` on a folder of `limpid dataset`: the peer of
+"""Trains `base` or `kpn` with PyTorch on the pictures of scripts/training_pictures.py, or `seed` on a folder of `limpid dataset` (files of
+`limpid render` will do, if they are named alike: NAME.noisy-0.exr, NAME.noisy-1.exr, NAME.target.exr): the peer of
 `limpid train`, faster where a driver runs shaders on the CPU. The same networks and Adam. The loss of `base` and `kpn` is limpid's (five scales)
 and a little relMSE; that of `seed` is MAE01 and a little of limpid's MAE. The file is one that limpid reads and trains on (`limpid train --init`).
 
