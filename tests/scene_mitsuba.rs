@@ -644,3 +644,16 @@ fn number() -> impl Strategy<Value = String> {
         Just("1".to_owned())
     ]
 }
+
+/// Those that scripts/mitsuba_agreement.py renders, with every file that they name.
+#[test]
+fn the_scenes_of_this_folder_load() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/scenes");
+    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let scenes: Vec<_> = files.filter(|path| path.extension().is_some_and(|end| end == "xml")).collect();
+    assert_eq!(scenes.len(), 10);
+    for path in scenes {
+        let loaded = mitsuba::load(&path, &Options::default());
+        assert!(loaded.is_ok(), "{}: {:?}", path.display(), loaded.err());
+    }
+}
