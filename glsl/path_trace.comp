@@ -44,6 +44,8 @@ layout(constant_id = 30) const uint MESH_COUNT = 0;        // meshes share one t
 layout(constant_id = 31) const uint MESH_LIGHT_COUNT = 0;  // the first meshes
 layout(constant_id = 32) const bool MESH_SMOOTH = false;   // a mesh has vertex normals
 layout(constant_id = 33) const bool LOOPS_END = false;     // the driver ends a run's loops after so many rounds
+layout(constant_id = 34) const uint BOX_SIDES = 0;         // the rectangles that are the sides of a box around all (lib/box.glsl)
+layout(constant_id = 35) const bool SPHERES_APART = false; // no outward sphere meets another
 
 const uint ESTIMATOR_UNIFORM = 0u;
 const uint ESTIMATOR_COSINE = 1u;

@@ -8,7 +8,7 @@ use limpid::image::Image;
 use limpid::metrics::different_values;
 use limpid::render::{Estimator, Features, Renderer, Sampler, Settings, Skip};
 use limpid::scene::tessellate::grid;
-use limpid::scene::{Bsdf, DeltaKind, DeltaLight, Environment, Scene, Shape, rooms};
+use limpid::scene::{Bsdf, DeltaKind, DeltaLight, Environment, Geometry, Lens, Scene, Shape, rooms};
 use limpid::stress::support::mesh_of;
 use render_support::*;
 
@@ -92,6 +92,62 @@ fn shadow_tests_are_skipped() {
     check(Skip::ShadowTests);
 }
 
+/// The canonical frame from so far away that rays start a hundredth of a sphere's size off their surfaces: near where a sphere touches
+/// another surface, in that sphere or beyond that wall.
+fn seen_from_afar(eye: [f64; 3]) -> Scene {
+    let mut scene = cornell(96);
+    scene.camera = look(eye.into(), [0.0, -0.3, 0.0].into(), 0.4, 96, 96);
+    scene.shapes.push(sphere([0.1, -0.2, 0.1], 0.3, 0.5, 0.0));
+    scene
+}
+
+#[test]
+fn walls_are_skipped() {
+    let mut more = scenes();
+    // A light and another sheet in the ceiling's plane, a sixth side, and one missing elsewhere.
+    let mut flush = cornell(48);
+    flush.shapes.push(rectangle(DVec3::Y, DVec3::X * 0.3, DVec3::Z * 0.3, 0.5, 4.0));
+    flush.shapes.push(rectangle(DVec3::new(0.6, 1.0, 0.3), DVec3::X * 0.3, DVec3::Z * 0.3, 0.9, 0.0));
+    more.push(("flush".to_owned(), flush));
+    let front = rectangle(DVec3::Z, DVec3::Y, DVec3::X, 0.5, 0.0);
+    let mut closed = cornell(48);
+    closed.camera = look([0.0, 0.0, 0.9].into(), [0.1, -0.1, 0.0].into(), 80.0, 48, 48);
+    closed.shapes.push(front.clone());
+    more.push(("closed".to_owned(), closed.clone()));
+    more.push(("far".to_owned(), seen_from_afar([0.0, 0.0, 300.0])));
+    for (k, eye) in [[-2.5, 0.3, 0.1], [0.1, -2.0, 0.3]].into_iter().enumerate() {
+        let mut open = closed.clone();
+        let axis = |shape: &Shape| shape.geometry.bounds().1[k] < -0.99;
+        open.shapes.retain(|shape| !axis(shape));
+        open.camera = look(eye.into(), [0.1, 0.2, -0.1].into(), 60.0, 48, 48);
+        more.push((format!("open along axis {k}"), open));
+    }
+    for (name, scene) in &more {
+        let features = Features::new(scene, &Settings::default());
+        assert_eq!(features.box_sides != 0, features.preload && name != "metal", "{name}");
+    }
+    check_in(Skip::Walls, more);
+}
+
+#[test]
+fn roots_are_skipped() {
+    let mut more = scenes();
+    let mut touching = cornell(48);
+    touching.shapes.push(sphere([0.0, 0.0, 0.0], 0.2, 0.5, 0.0));
+    touching.shapes.push(sphere([0.0, -0.3, 0.0], 0.1, 0.9, 0.0));
+    more.push(("touching".to_owned(), touching));
+    // A sheet that cuts spheres: points of it are moved into them.
+    let mut far = seen_from_afar([0.0, 120.0, 270.0]);
+    far.shapes.retain(|shape| shape.geometry.bounds().0.y < 0.99); // the ceiling
+    far.shapes.push(rectangle(DVec3::Y * -0.9, DVec3::Z, DVec3::X, 0.8, 0.0));
+    more.push(("far".to_owned(), far));
+    for (name, scene) in &more {
+        let features = Features::new(scene, &Settings::default());
+        assert_eq!(features.spheres_apart, features.preload && features.sphere_count > 1, "{name}");
+    }
+    check_in(Skip::Roots, more);
+}
+
 #[test]
 fn far_sides_are_skipped() {
     check(Skip::FarSides);
@@ -150,6 +206,11 @@ fn a_scene_keeps_what_it_needs() {
     scene.camera = look([0.5, 0.1, -0.5].into(), [0.0; 3].into(), 60.0, 8, 8); // in the sphere `mid`
     assert!(!skips(&scene, &settings).contains(&Skip::FarSides));
     let mut scene = cornell(8);
+    scene.shapes.push(sphere([0.0; 3], 0.2, 0.5, 0.0));
+    assert!(skips(&scene, &settings).contains(&Skip::Roots));
+    scene.shapes.push(sphere([0.0, 0.29, 0.0], 0.1, 0.5, 0.0)); // meets that
+    assert!(!skips(&scene, &settings).contains(&Skip::Roots));
+    let mut scene = cornell(8);
     scene.shapes.extend((0..17).map(|i| sphere([0.0, 0.0, f64::from(i) * 0.01], 0.001, 0.5, 0.0)));
     assert!(!skips(&scene, &settings).contains(&Skip::Loops));
     let mut scene = cornell(8);
@@ -185,6 +246,58 @@ fn a_scene_keeps_what_it_needs() {
     assert!(!skips(&cornell(8), &found).contains(&Skip::LastRays));
     let checkered = (0..20).map(rooms::rooms).find(|scene| scene.shapes.iter().any(|s| s.texture.is_some()));
     assert!(!skips(&checkered.expect("a room with a checkerboard"), &settings).contains(&Skip::Checkers));
+}
+
+/// Only a scene in a box leaves out walls: one side may be missing, and the camera looks in there.
+#[test]
+fn a_box_holds_the_scene() {
+    let boxed = |change: &dyn Fn(&mut Scene)| {
+        let mut scene = cornell(8);
+        change(&mut scene);
+        Features::new(&scene, &Settings::default()).box_sides != 0
+    };
+    let eye = |eye: [f64; 3]| move |scene: &mut Scene| scene.camera = look(eye.into(), [0.0; 3].into(), 60.0, 8, 8);
+    let wall = |scene: &Scene, axis: usize| {
+        let across = |s: &Shape| s.geometry.bounds().0[axis] == s.geometry.bounds().1[axis];
+        scene.shapes.iter().position(across).expect("a wall")
+    };
+    assert!(boxed(&|_| {}));
+    assert!(boxed(&eye([0.9, -0.9, 0.9])) && boxed(&eye([0.9, -0.9, 90.0])));
+    // Beside the box, behind it, in a side, with a lens that reaches beyond one.
+    assert!(!boxed(&eye([1.1, 0.0, 3.0])) && !boxed(&eye([0.0, 0.2, -2.0])) && !boxed(&eye([0.2, 1.0, 0.0])));
+    let lens = |radius| Some(Lens { aperture_radius: radius, focus_distance: 1.0 });
+    assert!(boxed(&|scene| scene.camera.lens = lens(0.9)) && !boxed(&|scene| scene.camera.lens = lens(1.1)));
+    // Two sides missing; one of another size, place or direction; a round one.
+    assert!(!boxed(&|scene| drop(scene.shapes.remove(wall(scene, 0)))));
+    for change in [
+        (&|center: &mut DVec3, _: &mut DVec3| *center *= 1.001) as &dyn Fn(&mut DVec3, &mut DVec3),
+        &|_, half| *half *= 1.001,
+        &|_, half| *half += DVec3::X * 0.001,
+    ] {
+        assert!(!boxed(&|scene| {
+            let wall = wall(scene, 0);
+            let Geometry::Rectangle { center, half_u, .. } = &mut scene.shapes[wall].geometry else { return };
+            change(center, half_u);
+        }));
+    }
+    assert!(!boxed(&|scene| {
+        let wall = wall(scene, 1);
+        let Geometry::Rectangle { center, half_u, half_v } = scene.shapes[wall].geometry else { return };
+        scene.shapes[wall].geometry = Geometry::Disk { center, half_u, half_v };
+    }));
+    // Something sticks out; a side that light passes; touching spheres where there is light outside.
+    assert!(!boxed(&|scene| scene.shapes.push(sphere([0.9, 0.0, 0.0], 0.11, 0.5, 0.0))));
+    assert!(boxed(&|scene| scene.shapes.push(sphere([0.9, 0.0, 0.0], 0.1, 0.5, 0.0))));
+    assert!(!boxed(&|scene| {
+        let wall = wall(scene, 2);
+        scene.shapes[wall].bsdf = Bsdf::Dielectric { ior: 1.5, transmittance: DVec3::ONE };
+    }));
+    let sky = |scene: &mut Scene| scene.environment = Some(Environment::Constant(DVec3::ONE));
+    assert!(!boxed(&sky));
+    assert!(boxed(&|scene| {
+        sky(scene);
+        scene.shapes.retain(|shape| matches!(shape.geometry, Geometry::Rectangle { .. }));
+    }));
 }
 
 #[test]

@@ -127,12 +127,32 @@ const bool CORNERS = MESH_SMOOTH || CHECKERS || BITMAPS;
 // Outward spheres whose inside is lit as well.
 const bool HOLLOW = TWO_SIDED || DIELECTRICS;
 
+// Of spheres apart that a ray meets from outside, the one whose middle on the ray is nearest comes first: only its distance
+// needs a root.
+const bool ORDERED = SPHERES_APART && !CAMERA_INSIDE && !HOLLOW;
+
 bool is_sphere(uint id) { return SPHERE_COUNT > 0u && id < SPHERE_COUNT; }
+
+#include "lib/box.glsl"
 
 // Closest hit; `skip` is the convex primitive that the ray leaves.
 uint closest_hit(vec3 o, vec3 d, uint skip, inout float best) {
     uint id = NONE;
-    [[unroll]] for (uint i = 0u; i < SPHERE_COUNT; ++i) {
+    if (ORDERED) {
+        vec2 nearest = vec2(1e30, 0.0);
+        [[unroll]] for (uint i = 0u; i < INWARD_FIRST; ++i) {
+            vec2 roots = sphere_roots(o, d, sphere_at(i));
+            bool outside = roots.x > 0.0 && roots.x * roots.x > roots.y;
+            bool closer = outside && roots.y > 0.0 && roots.x < nearest.x && i != skip;
+            nearest = closer ? roots : nearest;
+            id = closer ? i : id;
+        }
+        float t = nearest.x - sqrt(nearest.y);
+        bool hit = t > 0.0 && t < best;
+        best = hit ? t : best;
+        id = hit ? id : NONE;
+    }
+    [[unroll]] for (uint i = ORDERED ? INWARD_FIRST : 0u; i < SPHERE_COUNT; ++i) {
         bool inward = i >= INWARD_FIRST;
         float t = hit_sphere(o, d, sphere_at(i), inward || CAMERA_INSIDE || HOLLOW);
         bool closer = t > 0.0 && t < best && (inward || i != skip);
@@ -141,11 +161,13 @@ uint closest_hit(vec3 o, vec3 d, uint skip, inout float best) {
     }
     vec3 reciprocal = 1.0 / d;
     [[unroll]] for (uint i = 0u; i < RECT_COUNT; ++i) {
+        if (is_side(i)) continue;
         float t = hit_rect_at(i, o, d, reciprocal);
         bool closer = t > 0.0 && t < best && SPHERE_COUNT + i != skip;
         best = closer ? t : best;
         id = closer ? SPHERE_COUNT + i : id;
     }
+    if (BOXED) leave_box(o, d, reciprocal, skip, best, id);
     if (TRIANGLES) {
         uint triangle = trace_triangles(o, d, skip, NONE, false, best);
         id = triangle != NONE ? triangle : id;
@@ -358,6 +380,8 @@ Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
         v.n = normalize(p - s.xyz);
         v.p = s.xyz + s.w * v.n;
         if (INWARD_FIRST < SPHERE_COUNT) v.n = id >= INWARD_FIRST ? -v.n : v.n;
+    } else if (BOXED && SIDE_COUNT == RECT_COUNT) {
+        v = box_vertex(v, p);
     } else if (ALIGNED) {
         vec3 center = g_center[0], inner = g_inner[0];
         v.n = g_normal[0];

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use super::enclosure;
 use super::pack::{Frame, order};
 use super::settings::{Estimator, Sampler, Settings};
 use crate::named::named;
@@ -34,6 +35,11 @@ pub struct Features {
     pub rect_axes: u32,
     /// One bit a rectangle: set where it can come between a surface and a light.
     pub rect_blockers: u32,
+    /// Five bits a side of a box around the whole scene (low x, y, z, high x, y, z): which rectangle that is, counted from 1. One may
+    /// be missing (0); all are where there is no such box.
+    pub box_sides: u32,
+    /// No outward sphere meets another.
+    pub spheres_apart: bool,
     /// Meshes.
     pub mesh_count: u32,
     /// Of these, those that emit.
@@ -90,8 +96,12 @@ pub enum Skip {
     Loops,
     /// Shadow tests against rectangles that bound the scene.
     ShadowTests,
+    /// Tests of those sides of a box around everything that a ray does not run toward.
+    Walls,
     /// The far sides of outward spheres.
     FarSides,
+    /// The distances of spheres behind the nearest one.
+    Roots,
     /// The lookup of a second reflectance.
     Checkers,
     /// Every material but diffuse ones.
@@ -111,7 +121,9 @@ named!(
     "skipped feature",
     Loops = "loops",
     ShadowTests = "shadow-tests",
+    Walls = "walls",
     FarSides = "far-sides",
+    Roots = "roots",
     Checkers = "checkers",
     Materials = "materials",
     Meshes = "meshes",
@@ -126,9 +138,12 @@ impl Features {
     #[must_use]
     pub fn with(mut self, skip: Skip) -> Self {
         match skip {
-            Skip::Loops => self.preload = false,
+            // What follows needs registers too.
+            Skip::Loops => (self.preload, self.box_sides) = (false, 0),
             Skip::ShadowTests => self.rect_blockers = u32::MAX,
+            Skip::Walls => self.box_sides = 0,
             Skip::FarSides => self.camera_inside = true,
+            Skip::Roots => self.spheres_apart = false,
             Skip::Checkers => self.checkers = true,
             Skip::Materials => {
                 (self.materials, self.two_sided) = (ALL_MATERIALS, true);
@@ -165,8 +180,9 @@ impl Features {
         let (sphere_count, rect_count) = (count(&is_sphere), rects.len() as u32);
         let preload = sphere_count.max(rect_count) as usize <= MAX_UNROLLED;
         let frame = Frame::of(scene);
-        let (mut rect_axes, mut rect_blockers) = (0, u32::MAX);
+        let (mut rect_axes, mut rect_blockers, mut box_sides) = (0, u32::MAX, 0);
         if preload {
+            box_sides = enclosure::box_sides(&rects, scene, &frame);
             rect_blockers = 0;
             for (i, rect) in rects.iter().enumerate() {
                 rect_axes |= axis_of(&rect.geometry) << (2 * i);
@@ -184,6 +200,8 @@ impl Features {
             inward_light_count: count(&|s| is_inward(s) && emits(s)),
             rect_axes,
             rect_blockers,
+            box_sides,
+            spheres_apart: preload && enclosure::spheres_apart(scene, &frame),
             mesh_count: count(&|s| mesh_of(s).is_some()),
             mesh_light_count: count(&|s| mesh_of(s).is_some() && emits(s)),
             mesh_smooth: shapes.iter().any(|s| mesh_of(s).is_some_and(|mesh| !mesh.normals.is_empty())),
@@ -239,6 +257,8 @@ impl Features {
             inward_light_count: self.inward_light_count,
             rect_axes: self.rect_axes,
             rect_blockers: self.rect_blockers,
+            box_sides: self.box_sides,
+            spheres_apart: self.spheres_apart,
             mesh_count: self.mesh_count,
             mesh_light_count: self.mesh_light_count,
             mesh_smooth: self.mesh_smooth,
@@ -313,7 +333,9 @@ impl Features {
         skip(!self.two_sided, "reflection on backs");
         skip(self.delta_count == 0, "lights without a surface");
         skip(self.environment == 0, "the environment");
+        skip(self.box_sides != 0, "walls that a ray leaves behind");
         skip(!self.camera_inside, "far sides of outward spheres");
+        skip(self.spheres_apart, "distances of spheres behind the nearest");
         skip(self.preload, "primitive loops (all primitives in registers)");
         skip(!self.aa, "a camera ray for every sample (one first hit a pixel)");
         skip(!self.variance, "variance");

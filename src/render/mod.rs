@@ -8,6 +8,7 @@
 //! cut of the work into dispatches gives the same bits, and 16,384 samples lose nothing in f32.
 
 mod checkpoint;
+mod enclosure;
 mod environment;
 mod error_estimate;
 mod features;

@@ -360,7 +360,7 @@ fn diffuse_reflectance(eta: f64) -> f64 {
 /// halves of the edges.
 fn push_plane([u, v]: [DVec3; 2], axis: u32, test: [f64; 2], inner: [f64; 2], rows: &mut Vec<[f32; 4]>) {
     let (lu, lv) = (u.length(), v.length());
-    rows.push(row(u.cross(v).normalize(), f64::from(axis)));
+    rows.push(row(u.cross(v).normalize() + DVec3::ZERO, f64::from(axis))); // no -0
     rows.push(row(u / (lu * lu), test[0]));
     rows.push(row(v / (lv * lv), test[1]));
     rows.push(row(u, inner[0]));
