@@ -112,9 +112,22 @@ fn walls_are_skipped() {
     let front = rectangle(DVec3::Z, DVec3::Y, DVec3::X, 0.5, 0.0);
     let mut closed = cornell(48);
     closed.camera = look([0.0, 0.0, 0.9].into(), [0.1, -0.1, 0.0].into(), 80.0, 48, 48);
-    closed.shapes.push(front.clone());
+    closed.shapes.push(front);
     more.push(("closed".to_owned(), closed.clone()));
     more.push(("far".to_owned(), seen_from_afar([0.0, 0.0, 300.0])));
+    // In a hall so wide that points of spheres on its floor are moved under it: from there no light is seen.
+    let mut under = cornell(96);
+    under.camera = look([0.0, -3999.3, 2.5].into(), [0.0, -3999.8, 0.0].into(), 40.0, 96, 96);
+    under.shapes.retain(|shape| !matches!(shape.geometry, Geometry::Sphere { .. }));
+    for shape in &mut under.shapes {
+        let Geometry::Rectangle { center, half_u, half_v } = &mut shape.geometry else { continue };
+        [center, half_u, half_v].into_iter().for_each(|v| *v *= 4000.0);
+    }
+    for i in 0..9 {
+        let (x, z) = (-0.6 + 0.6 * f64::from(i % 3), -0.6 + 0.6 * f64::from(i / 3));
+        under.shapes.push(sphere([x, -3999.75, z], 0.25, 0.9, if i % 2 == 0 { 0.0 } else { 40.0 }));
+    }
+    more.push(("under".to_owned(), under));
     for (k, eye) in [[-2.5, 0.3, 0.1], [0.1, -2.0, 0.3]].into_iter().enumerate() {
         let mut open = closed.clone();
         let axis = |shape: &Shape| shape.geometry.bounds().1[k] < -0.99;
@@ -267,6 +280,8 @@ fn a_box_holds_the_scene() {
     assert!(!boxed(&eye([1.1, 0.0, 3.0])) && !boxed(&eye([0.0, 0.2, -2.0])) && !boxed(&eye([0.2, 1.0, 0.0])));
     let lens = |radius| Some(Lens { aperture_radius: radius, focus_distance: 1.0 });
     assert!(boxed(&|scene| scene.camera.lens = lens(0.9)) && !boxed(&|scene| scene.camera.lens = lens(1.1)));
+    // So far off that rays past the missing side's rim are as good as parallel to the walls.
+    assert!(boxed(&eye([0.0, 0.0, 300.0])) && !boxed(&eye([0.0, 0.0, 3000.0])));
     // Two sides missing; one of another size, place or direction; a round one.
     assert!(!boxed(&|scene| drop(scene.shapes.remove(wall(scene, 0)))));
     for change in [

@@ -1,6 +1,6 @@
 // Rectangles that are the sides of a box with the whole scene in it; one side may be missing, and the camera looks in there.
 // Included by lib/scene.glsl. Every ray begins in the box or before the missing side, so it meets only the three sides that it runs toward
-// (src/render/features.rs), and of these the nearest.
+// (src/render/enclosure.rs), and of these the nearest.
 #ifndef LIMPID_BOX_GLSL
 #define LIMPID_BOX_GLSL
 
@@ -8,14 +8,18 @@
 uint side(uint s) { return (BOX_SIDES >> (5u * s)) & 31u; }
 
 const bool BOXED = PRELOAD && BOX_SIDES != 0u;
-const uint SIDE_COUNT = ((BOX_SIDES & 31u) != 0u ? 1u : 0u) + ((BOX_SIDES & (31u << 5u)) != 0u ? 1u : 0u)
-    + ((BOX_SIDES & (31u << 10u)) != 0u ? 1u : 0u) + ((BOX_SIDES & (31u << 15u)) != 0u ? 1u : 0u)
-    + ((BOX_SIDES & (31u << 20u)) != 0u ? 1u : 0u) + ((BOX_SIDES & (31u << 25u)) != 0u ? 1u : 0u);
 
 bool is_side(uint rect) {
     bool found = false;
     [[unroll]] for (uint s = 0u; s < 6u; ++s) found = found || side(s) == rect + 1u;
     return BOXED && found;
+}
+
+// Has the scene no other rectangle?
+bool only_sides() {
+    bool all = BOXED;
+    [[unroll]] for (uint i = 0u; BOXED && i < RECT_COUNT; ++i) all = all && is_side(i);
+    return all;
 }
 
 // A side across another axis than `a`: their extents along `a` are the same.
@@ -26,11 +30,12 @@ float to_side(uint s, vec3 o, vec3 reciprocal) {
     return side(s) == 0u ? 2e30 : -(o[a] - g_center[side(s) - 1u][a]) * reciprocal[a];
 }
 
-// The hit of a side, if it is closer than `best`. Of equally close rectangles the first one counts, as without a box.
+// The hit of a side, if it is closer than `best`. Of equally close rectangles the first one counts, as without a box. A surface that
+// touches a side may have points that were moved beyond that: from there nothing is met, for that side's black back is in the way.
 void leave_box(vec3 o, vec3 d, vec3 reciprocal, uint skip, inout float best, inout uint id) {
     float t = 2e30;
     uint wall = 0u;
-    bool inside = true;
+    bool inside = true, beyond = false;
     [[unroll]] for (uint a = 0u; a < 3u; ++a) {
         bool back = reciprocal[a] < 0.0;
         float to = back ? to_side(a, o, reciprocal) : to_side(a + 3u, o, reciprocal);
@@ -45,15 +50,14 @@ void leave_box(vec3 o, vec3 d, vec3 reciprocal, uint skip, inout float best, ino
         inside = abs(o[a] - g_center[beside(a)][a] + t * d[a]) <= g_extent[beside(a)][a];
     }
     [[unroll]] for (uint s = 0u; s < 6u; ++s) {
-        // Where a surface touches a side, its points may have been moved beyond that.
         if (side(s) == 0u) continue;
         float plane = g_center[side(s) - 1u][s % 3u];
-        inside = inside && (s < 3u ? o[s % 3u] > plane : o[s % 3u] < plane);
+        beyond = beyond || !(s < 3u ? o[s % 3u] > plane : o[s % 3u] < plane);
     }
     wall += SPHERE_COUNT - 1u;
     bool closer = inside && (t < best || t == best && wall < id) && wall != skip;
-    best = closer ? t : best;
-    id = closer ? wall : id;
+    best = beyond ? 0.0 : closer ? t : best;
+    id = beyond ? NONE : closer ? wall : id;
 }
 
 // The hit `p` of side v.id, pulled back onto it and off its edges.

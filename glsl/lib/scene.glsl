@@ -380,7 +380,7 @@ Vertex make_vertex(vec3 p, vec3 d, uint id, float offset) {
         v.n = normalize(p - s.xyz);
         v.p = s.xyz + s.w * v.n;
         if (INWARD_FIRST < SPHERE_COUNT) v.n = id >= INWARD_FIRST ? -v.n : v.n;
-    } else if (BOXED && SIDE_COUNT == RECT_COUNT) {
+    } else if (only_sides()) {
         v = box_vertex(v, p);
     } else if (ALIGNED) {
         vec3 center = g_center[0], inner = g_inner[0];

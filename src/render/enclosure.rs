@@ -1,10 +1,10 @@
-//! What a path tracer may take for granted where a scene lies in a box, or where its spheres are apart.
+//! What a path tracer may take for granted of where shapes lie: nothing beyond a wall, all in a box, spheres apart.
 
 use glam::DVec3;
 
 use super::features::axis_of;
-use super::pack::Frame;
-use crate::scene::{Bsdf, Geometry, Scene, Shape};
+use super::pack::{Frame, SLACK};
+use crate::scene::{Bsdf, DeltaLight, Environment, Geometry, Scene, Shape};
 
 /// How exactly the sides of a box must meet, by the scene's half extent.
 const MEET: f64 = 1e-9;
@@ -35,28 +35,36 @@ pub(super) fn box_sides(rects: &[&Shape], scene: &Scene, frame: &Frame) -> u32 {
     // Where a surface touches a side, its points may be moved beyond that: rays from there must find nothing, in a box or without.
     let lit = scene.environment.is_some() || sides.iter().flatten().any(|&i| rects[i].two_sided);
     let gap = if lit { APART } else { -MEET } * frame.half_extent;
-    if !holds(scene, (low, high), gap, missing.first().copied(), frame) {
+    if !holds(scene, (low, high), gap, frame) || !sees_inside(scene, (low, high), missing.first().copied(), frame) {
         return 0;
     }
     sides.iter().enumerate().map(|(s, i)| i.map_or(0, |i| (i as u32 + 1) << (5 * s))).sum()
 }
 
-/// Does the box hold all shapes, and the camera, which may be beyond the missing side too? Hits of rectangles are left within them; the
-/// rest keeps `gap` to the sides.
-fn holds(scene: &Scene, (low, high): (DVec3, DVec3), gap: f64, missing: Option<usize>, frame: &Frame) -> bool {
-    let within = |(a, b): (DVec3, DVec3), gap: f64| a.cmpge(low + gap).all() && b.cmple(high - gap).all();
-    let shapes = scene.shapes.iter().all(|shape| {
+/// Does the box hold all shapes? Hits of rectangles are left within them; the rest keeps `gap` to the sides.
+fn holds(scene: &Scene, (low, high): (DVec3, DVec3), gap: f64, frame: &Frame) -> bool {
+    scene.shapes.iter().all(|shape| {
         let flat = matches!(shape.geometry, Geometry::Rectangle { .. });
-        within(shape.geometry.bounds(), if flat { -MEET * frame.half_extent } else { gap })
-    });
-    let mut eye = scene.camera.to_world.w_axis.truncate();
+        let gap = if flat { -MEET * frame.half_extent } else { gap };
+        let (a, b) = shape.geometry.bounds();
+        a.cmpge(low + gap).all() && b.cmple(high - gap).all()
+    })
+}
+
+/// Is the camera in the box, or before its missing side?
+fn sees_inside(scene: &Scene, (low, high): (DVec3, DVec3), missing: Option<usize>, frame: &Frame) -> bool {
+    let (eye, lens) = (scene.camera.origin(), scene.camera.lens.map_or(0.0, |lens| lens.aperture_radius));
+    let (to_low, to_high) = (eye - low - lens, high - eye - lens);
+    let mut gaps = to_low.min(to_high);
+    let mut least = APART * frame.half_extent;
     if let Some(s) = missing {
-        let (axis, middle) = (s % 3, 0.5 * (low + high));
-        let beyond = if s < 3 { eye[axis] < middle[axis] } else { eye[axis] > middle[axis] };
-        eye[axis] = if beyond { middle[axis] } else { eye[axis] };
+        let axis = s % 3;
+        let (before, opposite) = if s < 3 { (-to_low, to_high) } else { (-to_high, to_low) };
+        gaps[axis] = opposite[axis];
+        // Sides are tested wider than they are. A ray that passes the missing side's rim must not meet the opposite one's so.
+        least = least.max(10.0 * SLACK * frame.half_extent * before[axis] / (high - low)[axis]);
     }
-    let lens = DVec3::splat(scene.camera.lens.map_or(0.0, |lens| lens.aperture_radius));
-    shapes && within((eye - lens, eye + lens), APART * frame.half_extent)
+    gaps.min_element() > least
 }
 
 /// Does no outward sphere meet another?
@@ -73,4 +81,29 @@ fn outward_sphere(shape: &Shape) -> Option<(DVec3, f64)> {
         Geometry::Sphere { center, radius, inward: false } => Some((center, radius)),
         _ => None,
     }
+}
+
+/// Is the camera in an outward sphere?
+pub(super) fn camera_inside(scene: &Scene) -> bool {
+    let eye = scene.camera.origin();
+    scene.shapes.iter().filter_map(outward_sphere).any(|(center, radius)| eye.distance(center) <= radius)
+}
+
+/// A rectangle or disk that has the whole scene, lights included, on one side of its plane never comes between a surface and a light.
+pub(super) fn can_block(flat: &Shape, scene: &Scene, tolerance: f64) -> bool {
+    let (Geometry::Rectangle { center, half_u, half_v } | Geometry::Disk { center, half_u, half_v }) = flat.geometry
+    else {
+        return true;
+    };
+    let outside = matches!(scene.environment, Some(Environment::Map(_)))
+        || scene.delta_lights.iter().any(|light| light.position().is_none());
+    if outside {
+        return true;
+    }
+    let normal = half_u.cross(half_v).normalize();
+    let shapes = scene.shapes.iter().map(|shape| shape.geometry.span(center, normal));
+    let points = scene.delta_lights.iter().filter_map(DeltaLight::position);
+    let points = points.map(|position| (position - center).dot(normal)).map(|d| (d, d));
+    let (low, high) = shapes.chain(points).fold((0.0f64, 0.0f64), |(low, high), (a, b)| (low.min(a), high.max(b)));
+    low < -tolerance && high > tolerance
 }

@@ -2,11 +2,11 @@
 
 use glam::DVec3;
 
-use super::enclosure;
+use super::enclosure::{box_sides, camera_inside, can_block, spheres_apart};
 use super::pack::{Frame, order};
 use super::settings::{Estimator, Sampler, Settings};
 use crate::named::named;
-use crate::scene::{Bsdf, DeltaKind, DeltaLight, Environment, Falloff, Geometry, Mesh, Scene, Shape, Texture};
+use crate::scene::{Bsdf, DeltaKind, Environment, Falloff, Geometry, Mesh, Scene, Shape, Texture};
 use crate::shaders;
 
 /// Up to this many spheres and as many rectangles are held in registers and tested without a loop.
@@ -138,7 +138,7 @@ impl Features {
     #[must_use]
     pub fn with(mut self, skip: Skip) -> Self {
         match skip {
-            // What follows needs registers too.
+            // The box's sides are read from registers.
             Skip::Loops => (self.preload, self.box_sides) = (false, 0),
             Skip::ShadowTests => self.rect_blockers = u32::MAX,
             Skip::Walls => self.box_sides = 0,
@@ -180,9 +180,8 @@ impl Features {
         let (sphere_count, rect_count) = (count(&is_sphere), rects.len() as u32);
         let preload = sphere_count.max(rect_count) as usize <= MAX_UNROLLED;
         let frame = Frame::of(scene);
-        let (mut rect_axes, mut rect_blockers, mut box_sides) = (0, u32::MAX, 0);
+        let (mut rect_axes, mut rect_blockers) = (0, u32::MAX);
         if preload {
-            box_sides = enclosure::box_sides(&rects, scene, &frame);
             rect_blockers = 0;
             for (i, rect) in rects.iter().enumerate() {
                 rect_axes |= axis_of(&rect.geometry) << (2 * i);
@@ -200,8 +199,8 @@ impl Features {
             inward_light_count: count(&|s| is_inward(s) && emits(s)),
             rect_axes,
             rect_blockers,
-            box_sides,
-            spheres_apart: preload && enclosure::spheres_apart(scene, &frame),
+            box_sides: if preload { box_sides(&rects, scene, &frame) } else { 0 },
+            spheres_apart: preload && spheres_apart(scene, &frame),
             mesh_count: count(&|s| mesh_of(s).is_some()),
             mesh_light_count: count(&|s| mesh_of(s).is_some() && emits(s)),
             mesh_smooth: shapes.iter().any(|s| mesh_of(s).is_some_and(|mesh| !mesh.normals.is_empty())),
@@ -410,14 +409,6 @@ pub(super) fn emits(shape: &Shape) -> bool {
     shape.radiance.max_element() > 0.0
 }
 
-fn camera_inside(scene: &Scene) -> bool {
-    let eye = scene.camera.to_world.w_axis.truncate();
-    scene.shapes.iter().any(|s| match s.geometry {
-        Geometry::Sphere { center, radius, inward: false } => eye.distance(center) <= radius,
-        _ => false,
-    })
-}
-
 /// 1, 2, 3 where the edges run along axes and the normal along x, y, z; 0 otherwise.
 pub(super) fn axis_of(geometry: &Geometry) -> u32 {
     let Geometry::Rectangle { half_u, half_v, .. } = geometry else { return 0 };
@@ -429,23 +420,4 @@ pub(super) fn axis_of(geometry: &Geometry) -> u32 {
         (Some(u), Some(v)) if u != v => (3 - u - v) as u32 + 1,
         _ => 0,
     }
-}
-
-/// A rectangle or disk that has the whole scene, lights included, on one side of its plane never comes between a surface and a light.
-fn can_block(flat: &Shape, scene: &Scene, tolerance: f64) -> bool {
-    let (Geometry::Rectangle { center, half_u, half_v } | Geometry::Disk { center, half_u, half_v }) = flat.geometry
-    else {
-        return true;
-    };
-    let outside = matches!(scene.environment, Some(Environment::Map(_)))
-        || scene.delta_lights.iter().any(|light| light.position().is_none());
-    if outside {
-        return true;
-    }
-    let normal = half_u.cross(half_v).normalize();
-    let shapes = scene.shapes.iter().map(|shape| shape.geometry.span(center, normal));
-    let points = scene.delta_lights.iter().filter_map(DeltaLight::position);
-    let points = points.map(|position| (position - center).dot(normal)).map(|d| (d, d));
-    let (low, high) = shapes.chain(points).fold((0.0f64, 0.0f64), |(low, high), (a, b)| (low.min(a), high.max(b)));
-    low < -tolerance && high > tolerance
 }

@@ -27,7 +27,7 @@ const MATERIAL_ROW: usize = 12;
 const BITMAP_ROW: usize = 15;
 /// A gap between touching rectangles would leak: their hit tests are a few roundings wider than they are, by this share of
 /// the scene's half extent. Free ones are tested as they are.
-const SLACK: f64 = 2e-6;
+pub(super) const SLACK: f64 = 2e-6;
 /// Rows are numbered by floats.
 const MAX_ROWS: usize = 1 << 24;
 
